@@ -8,7 +8,7 @@ ARGS  ?=
 export PATH := $(PATH):$(or $(CARGO_HOME),$(HOME)/.cargo)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup build run test check fuzz-http fmt lint bench audit pictures soak data clean-scenes clean
+.PHONY: help setup build run test check fuzz-http fmt lint bench compare audit pictures soak data clean-scenes clean
 
 help: ## this list
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -44,6 +44,9 @@ lint: setup ## formatting and lints alone
 
 bench: setup ## speed and memory, beside VTK on the same machine (BENCH_QUICK=1, BENCH_RECORD=1)
 	@scripts/bench.sh
+
+compare: setup ## GPU time and frames of two commits, drawn in turns (BASE=, NEW=, COMPARE_ROWS=, COMPARE_ROUNDS=)
+	@scripts/compare.sh "$${BASE:?name a commit: make compare BASE=COMMIT}" $${NEW:-}
 
 audit: setup ## outlines, holes, depth, PSNR, flicker and time from random poses, against full detail at 16 times the pixels (BENCH_QUICK=1)
 	cargo bench --quiet --locked --bench audit

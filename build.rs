@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 /// Files and folders, relative to the package, that decide what the program draws.
 const SOURCES: [&str; 4] = ["src", "shaders", "Cargo.lock", "Cargo.toml"];
-/// Settings of the compiler that may change how numbers are rounded.
-const SETTINGS: [&str; 2] = ["TARGET", "CARGO_CFG_TARGET_FEATURE"];
+/// Settings of the compiler that may change how numbers are rounded, as its version may.
+const SETTINGS: [&str; 3] = ["TARGET", "CARGO_CFG_TARGET_FEATURE", "OPT_LEVEL"];
 
 fn main() -> io::Result<()> {
     let package = std::env::var_os("CARGO_MANIFEST_DIR").map(PathBuf::from).unwrap_or_default();
@@ -15,11 +15,22 @@ fn main() -> io::Result<()> {
         build += " ";
         build += &std::env::var(name).unwrap_or_default();
     }
+    build += " ";
+    build += &compiler()?;
     for name in SOURCES {
         println!("cargo::rerun-if-changed={name}");
     }
     println!("cargo::rustc-env=POINTILLIST_BUILD={build}");
     Ok(())
+}
+
+/// Hashes what the compiler says of its version.
+fn compiler() -> io::Result<String> {
+    let rustc = std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
+    let told = std::process::Command::new(rustc).arg("-vV").output()?;
+    let mut hash = Fnv(START);
+    hash.add(&told.stdout);
+    Ok(format!("{:032x}", hash.0))
 }
 
 /// Hashes the names and contents of all source files below `package`. Neither the folder's own path nor a file's age counts.
@@ -32,7 +43,7 @@ pub fn digest(package: &Path) -> io::Result<String> {
         list(package, name.to_owned(), &mut files)?;
     }
     files.sort_unstable();
-    let mut hash = Fnv(0x6c62_272e_07bb_0142_62b8_2175_6295_c58d);
+    let mut hash = Fnv(START);
     for name in files {
         hash.add(name.as_bytes());
         hash.add(&std::fs::read(package.join(&name))?);
@@ -56,6 +67,8 @@ fn list(package: &Path, name: String, files: &mut Vec<String>) -> io::Result<()>
     }
     Ok(())
 }
+
+const START: u128 = 0x6c62_272e_07bb_0142_62b8_2175_6295_c58d;
 
 /// FNV-1a with 128 bits. Sources are no adversaries, and a build script needs no further crate for it.
 struct Fnv(u128);

@@ -1,4 +1,4 @@
-//! What the daemon adds to drawing and encoding, how fast it revalidates, what a flood does to it, and what batching gains.
+//! Measures what the daemon adds to drawing and encoding, how fast it revalidates, what a flood does to it, and what batching gains.
 //! Client and daemon share the machine, as they do for its users' tests; the client is as lean as it can be.
 
 mod common;

@@ -13,7 +13,14 @@ use pointillist::generate::{Kind, Parameters};
 fn main() -> anyhow::Result<()> {
     let count = pick(8_000_000, 80_000);
     let random = files::random_points(count)?;
-    let made = |points, triangles| Parameters { seed: 1, points, triangles, size: None };
+    let made = |points, triangles| Parameters {
+        seed: 1,
+        points,
+        triangles,
+        size: None,
+        count: None,
+        form: None,
+    };
     let statue_points = pick(5_000_000, 50_000);
     let statue = files::generated(
         &format!("statue-{statue_points}.ply"),

@@ -1,7 +1,7 @@
 //! How much pictures jump where the level of detail changes: the largest change from frame to frame along a flight that motion does
 //! not explain.
 //!
-//! Of motion, frames at a quarter of the accepted error tell: what is left of a change when theirs is taken away is a jump. Frames are
+//! Frames at a quarter of the accepted error show motion alone. The rest of a change, without theirs, is a jump. Frames are
 //! three times as large as meant, with three times the error, and compared by means of blocks: silhouettes that cross pixels flicker
 //! in either flight, and what is to be seen would drown in it. Steps are so small that a switch from one level to another falls
 //! between two frames.

@@ -6,22 +6,19 @@
 
 mod common;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use anyhow::Context;
 use common::drawing::{Drawing, Orbit, STEP_DEG, gpu_ms, pass_medians, pass_ns};
 use common::files::Wall;
+use common::gaussians::{PEERS, covered_percent, degrees, in_turns};
 use common::peer::Peer;
 use common::report::{Bound, Report, number};
 use common::{files, median, median_ratio, ms, pick};
 use glam::DVec3;
-use pointillist::assets::{Geometry, ReadOptions, read};
-use pointillist::bake::prepare::{AssetTraits, prepare_geometry};
 use pointillist::engine::Receipt;
 use pointillist::generate::{Kind, Parameters};
-use pointillist::memory::Admission;
 use pointillist::passes::SMALL_SPLAT_PX;
-use pointillist::plan::{Lod, Reconstruct, Settings};
+use pointillist::plan::{Reconstruct, Settings};
 use pointillist::scene::{Blend, Filter};
 
 const SIZE: u32 = 1024;
@@ -37,18 +34,15 @@ fn main() -> anyhow::Result<()> {
     let mut report = Report::new("splats", &probe.engine.adapter());
     drop(probe);
     let parts =
-        std::env::var("BENCH_SPLATS").unwrap_or_else(|_| "vtk closed points paper crossing".into());
+        std::env::var("BENCH_SPLATS").unwrap_or_else(|_| "vtk points paper crossing".into());
     for part in parts.split_whitespace() {
         match part {
             "vtk" => beside_vtk(&mut report)?,
-            "closed" => beside_vtk_on_a_closed_surface(&mut report)?,
             "points" => beside_points(&mut report)?,
             "paper" => beside_the_paper(&mut report)?,
             "crossing" => crossing(&mut report)?,
             other => {
-                anyhow::bail!(
-                    "BENCH_SPLATS knows vtk, closed, points, paper and crossing, not {other}"
-                )
+                anyhow::bail!("BENCH_SPLATS knows vtk, points, paper and crossing, not {other}")
             }
         }
     }
@@ -85,145 +79,6 @@ fn facing(side_px: u32) -> Orbit {
         target: DVec3::new(0.371, 0.613, 0.0),
         fov_deg: 2.0 * 0.5f64.atan().to_degrees(),
     }
-}
-
-/// Between frames the wall stays before the whole frame.
-fn degrees(frame: u32) -> f64 {
-    f64::from(frame % 9) * STEP_DEG - 2.0
-}
-
-/// Share of the frame's pixels that show samples, in percent.
-fn covered_percent(receipt: &Receipt) -> f64 {
-    let pixels = f64::from(receipt.camera.width) * f64::from(receipt.camera.height);
-    100.0 * receipt.samples.drawn.unwrap_or(0) as f64 / pixels
-}
-
-/// VTK's ways to draw them: opaque discs cut to their outlines and blended Gaussians cut off where ours are, both unlit and
-/// without multisamples, which is as fast as it gets, and the same two with its own bounds, lights and multisamples.
-const OWN: [&str; 3] = ["--bound-scale=3", "--lighting", "--multisamples=8"];
-const PEERS: [(&str, &str, &[&str]); 4] = [
-    ("VTK's discs, at its fastest", "--mode=splats", &[]),
-    ("VTK's Gaussians, at its fastest", "--mode=gaussians", &[]),
-    ("VTK's discs, as it sets them up", "--mode=splats", &OWN),
-    ("VTK's Gaussians, as it sets them up", "--mode=gaussians", &OWN),
-];
-
-/// A process of VTK's, with its name and its times; `None` where VTK is not installed.
-type TimedPeer = (&'static str, Option<Peer>, Vec<f64>);
-
-/// Draws some frames in each way and with each peer, in turns. Returns our times and the share of the frame that is covered, in percent.
-fn in_turns(
-    ours: &Drawing,
-    side: u32,
-    orbit: &Orbit,
-    ways: &[(&str, Settings)],
-    peers: &mut [TimedPeer],
-) -> anyhow::Result<(Vec<Vec<f64>>, f64)> {
-    let mut times: Vec<Vec<f64>> = vec![Vec::new(); ways.len()];
-    let mut covered = 0.0;
-    let (warm, frames) = pick((2, 7), (1, 2));
-    for frame in 0..warm + frames {
-        let camera = orbit.at(degrees(frame));
-        for (times, (_, settings)) in times.iter_mut().zip(ways) {
-            let receipt = ours.draw(camera, [side, side], *settings)?;
-            covered = covered_percent(&receipt);
-            if frame >= warm {
-                times.push(gpu_ms(&receipt)?);
-            }
-        }
-        // VTK is warm when it says that it is ready.
-        for (_, vtk, times) in peers.iter_mut().filter(|_| frame >= warm) {
-            if let Some(vtk) = vtk {
-                times.push(vtk.frame_ms(degrees(frame))?);
-            }
-        }
-    }
-    Ok((times, covered))
-}
-
-/// Twice the median standard deviation of the kernels that a cloud is given: the radius at which VTK's Gaussians cover what ours do.
-fn footprint(file: &Path) -> anyhow::Result<f64> {
-    let mut asset = read(file, &ReadOptions::default())?;
-    let geometry = asset.geometries.first_mut().context("an empty file")?;
-    prepare_geometry(geometry, &mut AssetTraits::default(), &Admission::default())?;
-    let Geometry::Points(cloud) = geometry else { anyhow::bail!("{}: no cloud", file.display()) };
-    let kernels = cloud.kernels.iter().flatten();
-    let lengths: Vec<f64> =
-        kernels.map(|kernel| f64::from(kernel.u.length().max(kernel.v.length()))).collect();
-    Ok(2.0 * median(&lengths))
-}
-
-/// A closed surface of random samples, blended by VTK and by us at the same footprint.
-fn beside_vtk_on_a_closed_surface(report: &mut Report) -> anyhow::Result<()> {
-    // Samples, and how much faster splats in three passes and in a single pass should be.
-    const CLOSED: [(u64, f64, f64); 2] = [(200_000, 6.0, 10.0), (1_000_000, 9.0, 16.0)];
-    let side = pick(SIZE, 256);
-    let splats = Settings::drawn_as(Reconstruct::Splats);
-    let ways = [
-        ("three passes", splats),
-        ("three passes, lod=spt", Settings { lod: Lod::Spt, ..splats }),
-        ("fuzzy", Settings::drawn_as(Reconstruct::Fuzzy)),
-        ("points", Settings::drawn_as(Reconstruct::Points)),
-    ];
-    let mut rows = Vec::new();
-    for (count, three_passes, fuzzy) in CLOSED {
-        let count = pick(count, count / 100);
-        let parameters = Parameters { seed: 3, points: Some(count), ..Parameters::default() };
-        let file = files::generated(&format!("statue-{count}.ply"), Kind::Statue, &parameters)?;
-        let ours = Drawing::open(&file, side, |_| ())?;
-        ours.bake(ways[1].1)?;
-        let orbit = Orbit::around(&ours.info)?;
-        let radius = format!("--radius={}", footprint(&file)?);
-        let mut peers = Vec::new();
-        for (name, mode, more) in [PEERS[1], PEERS[3]] {
-            let args: Vec<&str> = [mode, &radius].into_iter().chain(more.iter().copied()).collect();
-            peers.push((name, Peer::vtk(&file, &orbit, side, &args)?, Vec::new()));
-        }
-        let (times, covered) = in_turns(&ours, side, &orbit, &ways, &mut peers)?;
-        let mut timed = Vec::new();
-        for (name, vtk, peer) in peers {
-            let is_there = vtk.is_some();
-            if let Some(vtk) = vtk {
-                report.value(&format!("{name}, {count} samples of a statue"), vtk.finish()?);
-            }
-            timed.push((name, is_there.then_some(peer)));
-        }
-        let against = |peer: &Option<Vec<f64>>, times: &[f64]| {
-            peer.as_ref().map(|peer| median_ratio(peer, times))
-        };
-        let mut row = |how: String, times: &[f64]| {
-            let ratios = timed.iter().map(|(_, peer)| against(peer, times));
-            let ratios = ratios.map(|ratio| ratio.map_or("—".to_owned(), number));
-            let own = [how, count.to_string(), number(median(times))];
-            rows.push(own.into_iter().chain(ratios).collect());
-        };
-        for (times, (how, _)) in times.iter().zip(&ways) {
-            row(format!("Pointillist, {how}"), times);
-        }
-        for (name, peer) in &timed {
-            if let Some(peer) = peer {
-                row((*name).to_owned(), peer);
-            }
-        }
-        report.value(&format!("covered_percent, {count} samples of a statue"), covered);
-        for (name, peer) in &timed {
-            for (what, times, bound) in
-                [("three passes", &times[0], three_passes), ("fuzzy", &times[2], fuzzy)]
-            {
-                let what = format!("{count} samples of a closed surface, {what}, against {name}");
-                report.target(&what, against(peer, times), Bound::AtLeast(bound), "×");
-            }
-        }
-        let of_full = median_ratio(&times[1], &times[0]);
-        let what = format!("{count} samples of a closed surface, lod=spt over full detail");
-        report.target(&what, Some(of_full), Bound::AtMost(1.05), "×");
-    }
-    report.table(
-        &format!("A closed surface of random samples at {side}²"),
-        &["how", "samples", "ms a frame", "VTK at its fastest", "VTK as it sets them up"],
-        &rows,
-    );
-    Ok(())
 }
 
 /// VTK's discs and Gaussians and ours: of the same radius, of the same samples.
@@ -294,7 +149,7 @@ fn beside_vtk(report: &mut Report) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The same samples as points and as splats that close the surface.
+/// Draws samples as points, and as splats that close the surface.
 fn beside_points(report: &mut Report) -> anyhow::Result<()> {
     const RADIUS_PX: f64 = 1.5;
     let side = pick(SIZE, 256);

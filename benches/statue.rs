@@ -78,7 +78,7 @@ fn main() -> anyhow::Result<()> {
     report.finish()
 }
 
-/// What the passes and the steps around them sum up to, of the time from the request to the JPEG; `None` without
+/// Share of the time from the request to the JPEG that the passes and the steps around them explain; `None` without
 /// timestamps.
 fn explained_percent(receipt: &Receipt) -> Option<f64> {
     let ran = receipt.passes.iter().filter(|pass| pass.ran);

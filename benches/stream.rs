@@ -1,4 +1,4 @@
-//! What a live view gets: how long a pose waits for its pixels, how eight clients share the device, what a job leaves of a client's rate,
+//! Measures a live view: how long a pose waits for its pixels, how eight clients share the device, what a job leaves of a client's rate,
 //! how fast a camera path is filmed,
 //! what many requests at a time gain, and frames a second beside a remote view of trame.
 //!
@@ -285,7 +285,7 @@ fn film(report: &mut Report, daemon: &Daemon, adapter: &str) -> anyhow::Result<(
     Ok(())
 }
 
-/// The same square in a remote view of trame, drawn by VTK with a glyph mapper for each kind of mesh; and what VTK needs of that on the
+/// Draws that square in a remote view of trame, by VTK with a glyph mapper for each kind of mesh; and what VTK needs of that on the
 /// server's side alone, without trame and network. In turns.
 fn remote(report: &mut Report, daemon: &Daemon) -> anyhow::Result<()> {
     let file = copies()?;

@@ -10,11 +10,15 @@ use common::folder;
 use common::report::{number, render, verdict};
 use serde_json::{Value, json};
 
-const BENCHES: [&str; 12] = [
+const BENCHES: [&str; 16] = [
     "points",
     "statue",
     "triangles",
     "splats",
+    "closed",
+    "pull_push",
+    "lines",
+    "trees",
     "lod",
     "pops",
     "audit",

@@ -7,7 +7,7 @@ fn main() -> ExitCode {
     match pointillist::cli::run() {
         Ok(code) => code,
         Err(error) => {
-            // Whoever started it may listen no more.
+            // The process that started it may listen no more.
             let _ = writeln!(std::io::stderr(), "pointillist: {error:#}");
             ExitCode::FAILURE
         }

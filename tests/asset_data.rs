@@ -136,7 +136,7 @@ const CLEAN: &[Expected] = &[
 fn counts(asset: &Asset) -> (usize, usize) {
     asset.geometries.iter().fold((0, 0), |(vertices, triangles), geometry| {
         let more = match geometry {
-            Geometry::Points(_) => 0,
+            Geometry::Points(_) | Geometry::Lines(_) => 0,
             Geometry::Mesh(mesh) => mesh.triangles.len(),
         };
         (vertices + geometry.positions().len(), triangles + more)
@@ -166,6 +166,17 @@ fn check_invariants(name: &str, asset: &Asset) {
                 let colors = mesh.colors.as_ref().map(Vec::len);
                 let normals = mesh.normals.as_ref().map(Vec::len);
                 [colors, normals, mesh.uvs.as_ref().map(Vec::len), None, None]
+            }
+            Geometry::Lines(lines) => {
+                assert!(lines.strands.windows(2).all(|ends| ends[0] + 2 <= ends[1]), "{name}");
+                assert_eq!(lines.strands.last().map(|&last| last as usize), Some(count), "{name}");
+                [
+                    lines.colors.as_ref().map(Vec::len),
+                    lines.normals.as_ref().map(Vec::len),
+                    (!lines.fields.is_empty()).then(|| lines.fields.points()),
+                    None,
+                    lines.radii.as_ref().map(Vec::len),
+                ]
             }
         };
         assert!(lengths.into_iter().flatten().all(|length| length == count), "{name}");
@@ -327,12 +338,7 @@ fn foreign_formats_are_named() {
         ("splats/guitar.compressed.ply", "Gaussian splats"),
         ("splats/fourth_st.spz", "Gaussian splats"),
         ("pointclouds/pc_color.drc", "Draco"),
-        ("lines/722817260.swc", "SWC"),
         ("lines/bio_neuron-000.asc", "Neurolucida"),
-        ("lines/standard.trk", "TrackVis"),
-        ("lines/standard.tck", "MRtrix"),
-        ("lines/track1.binary.vtk", "VTK"),
-        ("lines/political.vtp", "VTK"),
         ("trees/AlmondLeaf.png", "image"),
         ("SOURCES.md", "known format"),
     ] {
@@ -341,5 +347,85 @@ fn foreign_formats_are_named() {
         println!("{error}");
         assert!(matches!(error, AssetError::Unsupported { .. }), "{error}");
         assert!(error.to_string().contains(words), "{error}");
+    }
+}
+
+/// File, strands, vertices, bounds, words of a warning. Those of tracts are NiBabel's.
+type ExpectedLines = (&'static str, usize, usize, [f64; 6], &'static str);
+
+const LINES: &[ExpectedLines] = &[
+    ("lines/standard.tck", 120, 360, [-0.5, -1.5, -1.0, 3.5, 13.5, 13.0], ""),
+    ("lines/standard.trk", 120, 360, [-0.5, -1.5, -1.0, 3.5, 13.5, 13.0], ""),
+    (
+        "lines/tracks300.trk",
+        300,
+        14576,
+        [64.0245132446289, 78.36035919189453, 61.47268, 115.55522918701172, 121.12667, 91.91046],
+        "",
+    ),
+    // One streamline of three has a single point.
+    ("lines/complex.trk", 2, 7, [0.0, 1.0, 2.0, 12.0, 13.0, 14.0], "single vertex"),
+    ("lines/complex_big_endian.trk", 2, 7, [0.0, 1.0, 2.0, 12.0, 13.0, 14.0], "single vertex"),
+    (
+        "corrupt/matlab_nan.tck",
+        1,
+        108,
+        [-0.98094, -19.076, 7.4381, -0.11249, -0.45225, 15.243],
+        "the header counts 615000 streamlines, the file holds 1",
+    ),
+];
+
+#[test]
+fn lines_have_their_strands() {
+    let Some(folder) = data() else { return };
+    for &(name, strands, vertices, bounds, warning) in LINES {
+        let asset = load(&folder, name);
+        let Geometry::Lines(lines) = &asset.geometries[0] else { panic!("{name}") };
+        assert_eq!(lines.strands.len(), strands + 1, "{name}");
+        assert_eq!(lines.positions.len(), vertices, "{name}");
+        let found = pointillist::math::Bounds::of(lines.positions.iter().copied());
+        let found = [found.min.to_array(), found.max.to_array()].concat();
+        for (found, expected) in found.iter().zip(bounds) {
+            assert!((found - expected).abs() < 1e-4 * (1.0 + expected.abs()), "{name}: {found}");
+        }
+        let warned = asset.warnings.iter().any(|text| text.contains(warning));
+        assert_eq!(warned, !warning.is_empty(), "{name}: {:?}", asset.warnings);
+        assert_eq!(lines.colors.as_ref().map(Vec::len), Some(vertices), "{name}");
+    }
+}
+
+/// Every node but the root has a segment to its parent; a cell body of one node is a ball.
+#[test]
+fn neurons_have_a_segment_for_each_node() {
+    let Some(folder) = data() else { return };
+    for (name, nodes, segments, warning) in [
+        ("lines/722817260.swc", 4332, 4331, ""),
+        ("lines/754534424.swc", 4696, 4695, ""),
+        ("lines/Neuron.swc", 847, 846, ""),
+        ("corrupt/Neuron_missing_parents.swc", 843, 838, "parents that do not exist"),
+        ("corrupt/neurite_wrong_root_point.swc", 7, 5, "outer nodes"),
+    ] {
+        let asset = load(&folder, name);
+        let Geometry::Lines(lines) = &asset.geometries[0] else { panic!("{name}") };
+        let found = lines.positions.len() + 1 - lines.strands.len();
+        println!("{name}: {found} segments for {nodes} nodes, {:?}", asset.warnings);
+        assert_eq!(found, segments, "{name}");
+        assert_eq!(lines.radii.as_ref().map(Vec::len), Some(lines.positions.len()));
+        let warned = asset.warnings.iter().any(|text| text.contains(warning));
+        assert_eq!(warned, !warning.is_empty(), "{name}: {:?}", asset.warnings);
+    }
+}
+
+#[test]
+fn polylines_of_vtk_load() {
+    let Some(folder) = data() else { return };
+    for (name, strands, vertices) in
+        [("lines/track1.binary.vtk", 1, 16267), ("lines/political.vtp", 980, 95141)]
+    {
+        let asset = load(&folder, name);
+        let Geometry::Lines(lines) = &asset.geometries[0] else { panic!("{name}") };
+        println!("{name}: {:?}", asset.warnings);
+        assert_eq!(lines.strands.len(), strands + 1, "{name}");
+        assert_eq!(lines.positions.len(), vertices, "{name}");
     }
 }

@@ -538,6 +538,31 @@ fn what_the_engine_puts_off_is_drawn_later() {
     assert!(stats.batches * 2 < stats.frames, "{} frames, {} batches", stats.frames, stats.batches);
 }
 
+/// Which frames are drawn from point trees depends on the pose: here the first is drawn in full and the last from a tree.
+#[test]
+fn a_film_bakes_what_a_later_frame_needs() {
+    let studio = Studio::new();
+    let made = ["generate", "statue", "--points", "200000", "-o", "statue.ply"];
+    let output = studio.command(&made).output().unwrap();
+    assert!(output.status.success(), "{}", text(&output));
+    let key =
+        |t: u32, distance: f64| json!({ "t": t, "eye": [0, 1, distance], "target": [0, 1, 0] });
+    let path = json!({ "fps": 4, "keys": [key(0, 1.0), key(1, 10.0)] });
+    fs::write(studio.at("out.json"), path.to_string()).unwrap();
+    let settings = ["--lod", "spt", "--max-error-px", "0.5", "--reconstruct", "splats"];
+    let args = ["path", "statue.ply", "--path", "out.json", "-o", "out"];
+    studio.succeeds(&[&args[..], &settings].concat());
+    let lods = |name: &str| {
+        let args = ["render", "statue.ply", "--receipt", "r.json", "-o", "f.png"];
+        let eye = ["--eye", name, "--target", "0,1,0"];
+        studio.succeeds(&[&args[..], &eye, &settings].concat());
+        let receipt: Value =
+            serde_json::from_slice(&fs::read(studio.at("r.json")).unwrap()).unwrap();
+        receipt["settings"]["lod"].as_str().unwrap().to_owned()
+    };
+    assert_eq!([lods("0,1,1"), lods("0,1,10")], ["full", "spt"], "the poses were well chosen");
+}
+
 #[test]
 fn a_scene_that_changes_ends_the_run() {
     let studio = Studio::new();

@@ -89,7 +89,6 @@ const DRAWN: &[&str] = &[
 /// Files that must be refused, with these words.
 const REFUSED: &[(&str, &str)] = &[
     ("corrupt/InvalidCVHeader.e57", ""),
-    ("corrupt/Neuron_missing_parents.swc", "lines are not offered yet"),
     ("corrupt/OutOfMemory.off", "declares 353535235358"),
     ("corrupt/badArray.gltf", "meshes[0].primitives"),
     ("corrupt/badNumber.gltf", "normalTexture.scale"),
@@ -102,25 +101,13 @@ const REFUSED: &[(&str, &str)] = &[
     ("corrupt/empty.ply", "is empty"),
     ("corrupt/garbage_nVariableLength.las", "number of point records"),
     ("corrupt/malformed.obj", "face 5"),
-    ("corrupt/matlab_nan.tck", "streamlines"),
     ("corrupt/missingheader.pcd", ""),
-    ("corrupt/neurite_wrong_root_point.swc", "lines are not offered yet"),
-    ("corrupt/no_magic_number.tck", "streamlines"),
+    ("corrupt/no_magic_number.tck", "a track file begins with \"mrtrix tracks\""),
     ("corrupt/no_vertex.ply", "no vertex element"),
     ("corrupt/truncated.off", "vertex 3"),
     ("corrupt/truncated.ply", "ends here"),
     ("corrupt/truncated.stl", "declares 20 triangles"),
-    ("lines/722817260.swc", "lines are not offered yet"),
-    ("lines/754534424.swc", "lines are not offered yet"),
-    ("lines/Neuron.swc", "lines are not offered yet"),
-    ("lines/bio_neuron-000.asc", "lines are not offered yet"),
-    ("lines/complex.trk", "lines are not offered yet"),
-    ("lines/complex_big_endian.trk", "lines are not offered yet"),
-    ("lines/political.vtp", "VTK"),
-    ("lines/standard.tck", "lines are not offered yet"),
-    ("lines/standard.trk", "lines are not offered yet"),
-    ("lines/track1.binary.vtk", "VTK"),
-    ("lines/tracks300.trk", "lines are not offered yet"),
+    ("lines/bio_neuron-000.asc", "convert it to SWC"),
     ("pointclouds/pc_color.drc", "Draco"),
     ("scans/bunny_range/README", "known format"),
     ("splats/fourth_st.spz", "Gaussian splats"),
@@ -129,8 +116,23 @@ const REFUSED: &[(&str, &str)] = &[
     ("trees/AlmondLeaf.png", "image"),
 ];
 
-/// Valid files whose triangles have no area: nothing of them is visible.
-const INVISIBLE: &[&str] = &["corrupt/degenerate_mesh.obj"];
+/// Valid files of which nothing is visible: triangles without an area, and lines, which no pass draws yet.
+const INVISIBLE: &[&str] = &[
+    "corrupt/degenerate_mesh.obj",
+    "corrupt/Neuron_missing_parents.swc",
+    "corrupt/matlab_nan.tck",
+    "corrupt/neurite_wrong_root_point.swc",
+    "lines/722817260.swc",
+    "lines/754534424.swc",
+    "lines/Neuron.swc",
+    "lines/complex.trk",
+    "lines/complex_big_endian.trk",
+    "lines/political.vtp",
+    "lines/standard.tck",
+    "lines/standard.trk",
+    "lines/track1.binary.vtk",
+    "lines/tracks300.trk",
+];
 
 fn data() -> Option<PathBuf> {
     let folder = std::env::var_os("POINTILLIST_DATA").map_or_else(

@@ -124,18 +124,28 @@ fn every_composition_is_valid() {
     // - Samples: three ways to write; with and without point trees; all at once or in turns.
     // - Triangles: the same three ways; with and without alpha; a thread each (all at once or in turns, with and without votes),
     //   or from a list (by threads or by the rasteriser).
+    // - Lines: the same three ways; a thread each as for triangles, or from a list.
     // - Splats: depths as for samples, with and without clip lines; sums by clip lines, width, normals, lights and trees; a
     //   single pass by clip lines, lights, trees and scalar fields. Each of these with a thread per splat (all at once or in turns, with and
     //   without votes), or from a list.
     // - Passes over pixels: with and without votes; samples with and without trees and scalar fields; outputs written at once or later.
+    // - Level 0 of pull-push: with and without clip lines, trees and scalar fields.
     // - Lists: of everything, or of trees. Others: no choices.
     let (depths, sums, single) = (12, 64, 16);
-    let over_pixels = 5 * 2 * 2 + 3 * 2 * 2;
+    let over_pixels = 6 * 2 * 2 + 3 * 2 * 2 + 2 * 2;
+    let level_0 = 2 * 2 * 2;
     let lists = 3 * 2;
-    let others = 9;
+    let others = 11;
     assert_eq!(
         checked,
-        2 * 6 + 6 * (2 * 2 + 2) + 5 * (depths + sums + single) + over_pixels + lists + others
+        2 * 6
+            + 6 * (2 * 2 + 2)
+            + 3 * (2 * 2 + 1)
+            + 5 * (depths + sums + single)
+            + over_pixels
+            + level_0
+            + lists
+            + others
     );
 }
 

@@ -103,7 +103,7 @@ impl Daemon {
         self.metric_as(name, "")
     }
 
-    /// The same, asked for with `headers`, which are whole lines.
+    /// Returns that value, asked for with `headers`, which are whole lines.
     ///
     /// # Errors
     /// As [`Self::metric`].

@@ -114,7 +114,7 @@ impl Drawing {
         )
     }
 
-    /// The same, as a JPEG, without its image.
+    /// Draws such a frame as a JPEG, without its image.
     ///
     /// # Errors
     /// The engine refuses.
@@ -147,6 +147,21 @@ impl Drawing {
         format: ImageFormat,
     ) -> anyhow::Result<Arc<EncodedFrame>> {
         self.submit(Pose::Camera(camera), size, settings, format)
+    }
+
+    /// Raw values of any output of a frame.
+    ///
+    /// # Errors
+    /// The engine refuses.
+    pub fn raw(
+        &self,
+        camera: Camera,
+        size: [u32; 2],
+        settings: Settings,
+        output: Output,
+    ) -> anyhow::Result<Arc<EncodedFrame>> {
+        let request = self.request(Pose::Camera(camera), size, settings, ImageFormat::Raw);
+        Ok(self.engine.submit(FrameRequest { output, ..request })?.wait()?)
     }
 
     fn submit(

@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use pointillist::assets::Progress;
-use pointillist::generate::{Kind, Parameters, generate, write};
+use pointillist::generate::{Form, Generated, Kind, Parameters, generate, generate_scene, write};
 use serde_json::{Map, Value, json};
 
 /// Writes through `fill` unless the file is there. A broken run leaves nothing half done behind.
-fn once(name: &str, fill: impl FnOnce(&Path) -> anyhow::Result<()>) -> anyhow::Result<PathBuf> {
+pub fn once(name: &str, fill: impl FnOnce(&Path) -> anyhow::Result<()>) -> anyhow::Result<PathBuf> {
     let folder = super::folder();
     std::fs::create_dir_all(&folder)?;
     let file = folder.join(name);
@@ -33,7 +33,7 @@ pub fn generated(name: &str, kind: Kind, parameters: &Parameters) -> anyhow::Res
 }
 
 /// A scene file, which names assets beside it; written anew each time.
-fn scene(name: &str, description: &Value) -> anyhow::Result<PathBuf> {
+pub fn scene(name: &str, description: &Value) -> anyhow::Result<PathBuf> {
     let folder = super::folder();
     std::fs::create_dir_all(&folder)?;
     let file = folder.join(name);
@@ -60,6 +60,29 @@ pub fn copies(side: u32) -> anyhow::Result<PathBuf> {
     scene(&format!("copies-{side}-of-{triangles}.json"), &description)
 }
 
+/// The generator's scene of ten trees of this many leaves.
+pub fn grove(form: Form, leaves: u64) -> anyhow::Result<PathBuf> {
+    let name = match form {
+        Form::Triangles => "triangles",
+        Form::Lines => "lines",
+    };
+    let name = format!("grove-{name}-{leaves}");
+    let file = super::folder().join(format!("{name}.json"));
+    if !file.exists() {
+        std::fs::create_dir_all(super::folder())?;
+        println!("making {}", file.display());
+        let parameters =
+            Parameters { seed: 1, count: Some(leaves), form: Some(form), ..Parameters::default() };
+        let mut scene = generate_scene(Kind::Grove, &name, &parameters, &Progress::new(|_| ()))?;
+        // The file with the scene's name comes last: a broken run leaves none.
+        for (asset, made) in std::mem::take(&mut scene.assets) {
+            write(&made, &file.with_file_name(asset))?;
+        }
+        write(&Generated::Scene(scene), &file)?;
+    }
+    Ok(file)
+}
+
 /// Ten models, and a scene in which each has every tenth place of a square of `side` × `side`.
 pub fn crowd(side: u32) -> anyhow::Result<PathBuf> {
     const KINDS: [(&str, Kind, u64); 10] = [
@@ -82,6 +105,8 @@ pub fn crowd(side: u32) -> anyhow::Result<PathBuf> {
             points: Some(count),
             triangles: Some(count),
             size: Some(1.0 + 0.08 * seed as f64),
+            count: None,
+            form: None,
         };
         let file = format!("small-{name}-{seed}-of-{count}.ply");
         generated(&file, kind, &parameters)?;
@@ -119,9 +144,9 @@ pub fn random_points(count: u64) -> anyhow::Result<PathBuf> {
 
 /// Disks over a square around the origin of the plane z = 0.
 pub struct Wall {
-    /// Of the square that a frame shows; the wall is a tenth longer on either side.
+    /// Side of the square that a frame shows; the wall is a tenth longer on either side.
     pub side: f64,
-    /// Between neighbours.
+    /// Distance between neighbours.
     pub spacing: f64,
     pub radius: f64,
 }

@@ -1,4 +1,4 @@
-//! What the benches share: reports, files to draw, the peer, the engine and the daemon.
+//! Parts that the benches share: reports, files to draw, the peer, the engine and the daemon.
 //!
 //! The machine may be busy with other work, so every figure is a median over repeats after a warm-up, and what
 //! is compared is timed in turns: one frame of the one, one of the other.
@@ -8,6 +8,7 @@ pub mod client;
 pub mod daemon;
 pub mod drawing;
 pub mod files;
+pub mod gaussians;
 pub mod peer;
 pub mod report;
 pub mod shots;

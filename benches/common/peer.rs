@@ -65,10 +65,10 @@ pub struct Peer {
 }
 
 /// Where `benches/peers/install.sh` puts the peers.
-const PYTHON: &str = "target/peers/venv/bin/python";
+pub const PYTHON: &str = "target/peers/venv/bin/python";
 
 /// Whether Python is there and has a module; says so where not.
-fn is_installed(name: &str, module: &str) -> bool {
+pub fn is_installed(name: &str, module: &str) -> bool {
     let find =
         format!("import importlib.util as u, sys; sys.exit(u.find_spec('{module}') is None)");
     let found = Path::new(PYTHON).exists()
@@ -93,7 +93,7 @@ impl Peer {
         Peer::start(["VTK", "vtkmodules", "vtk_draw.py"], file, orbit, size, args)
     }
 
-    /// The same of a remote view of trame's: its frames are those that a client of it has got.
+    /// Starts a remote view of trame's; its frames are those that a client of it has got.
     ///
     /// # Errors
     /// trame fails.
@@ -161,8 +161,20 @@ impl Peer {
     /// # Errors
     /// The peer has ended.
     pub fn frame_ms(&mut self, degrees: f64) -> anyhow::Result<f64> {
+        self.ask(&degrees.to_string())
+    }
+
+    /// As [`Peer::frame_ms`], from another distance, in units of the pose's own. Only VTK's script knows distances.
+    ///
+    /// # Errors
+    /// The peer has ended.
+    pub fn frame_from_ms(&mut self, degrees: f64, distance: f64) -> anyhow::Result<f64> {
+        self.ask(&format!("{degrees} {distance}"))
+    }
+
+    fn ask(&mut self, pose: &str) -> anyhow::Result<f64> {
         let input = self.input.as_mut().context("the peer is finished")?;
-        writeln!(input, "{degrees}")?;
+        writeln!(input, "{pose}")?;
         Ok(self.line()?.trim().parse()?)
     }
 

@@ -7,7 +7,7 @@ here=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)
 venv=${1:-$here/target/peers/venv}
 
 # All that the scripts import: an environment of an earlier time may have VTK and no trame.
-imports='import aiohttp, laspy, numpy, PIL, vtk, trame.app, trame.widgets.vtk, trame_server.client'
+imports='import aiohttp, laspy, nibabel, numpy, PIL, vtk, trame.app, trame.widgets.vtk, trame_server.client'
 if [ -x "$venv/bin/python" ] && "$venv/bin/python" -c "$imports" 2>/dev/null; then
     echo "peers: already installed in $venv"
     exit 0
@@ -33,8 +33,8 @@ fi
 # VTK from 9.4 on chooses an off-screen window (EGL, else OSMesa) by itself when there is no X server.
 # trame brings wslink; aiohttp is what both ends of its WebSocket are made with, pillow decodes what its client gets.
 "$venv/bin/pip" install --quiet --disable-pip-version-check 'numpy>=1.26' 'vtk>=9.4' \
-    'trame>=3.6' 'trame-vtk>=2.8' aiohttp laspy pillow
+    'trame>=3.6' 'trame-vtk>=2.8' aiohttp laspy nibabel pillow
 "$venv/bin/python" - <<'PY'
 from importlib.metadata import version
-print("peers: " + ", ".join(f"{name} {version(name)}" for name in ("vtk", "numpy", "trame", "trame-vtk", "laspy")))
+print("peers: " + ", ".join(f"{name} {version(name)}" for name in ("vtk", "numpy", "trame", "trame-vtk", "laspy", "nibabel")))
 PY

@@ -3,12 +3,13 @@
 
     vtk_draw.py cloud.ply --eye 0,0,4 --target 0,0,0 --size 1024x1024 --png frame.png
 
-Four ways to draw (`--mode`), each VTK's own:
+Five ways to draw (`--mode`), each VTK's own:
   points     one hardware point a sample (vtkPolyDataMapper, point size 1, no lighting)
   point-gaussian   vtkPointGaussianMapper with scale factor 0: its fastest path for large clouds
   splats     vtkPointGaussianMapper, an unlit disc of --radius scene units a sample
   gaussians  vtkPointGaussianMapper as it is made: blended Gaussians, here cut off at --radius, two standard deviations
   surface    the file's triangles, smooth shaded
+  tubes      vtkTubeFilter over the polylines of a legacy `.vtk` file, of --radius scene units and --sides sides
 
 Everything else is off by default, which is as fast as VTK gets here; `--lighting`, `--multisamples`,
 `--point-size`, `--spheres`, `--colors lut` and `--window` turn on, one by one, what VTK, PyVista and ParaView
@@ -29,7 +30,8 @@ drawn by one `vtkGlyph3DMapper`. Matrices turn, scale evenly and move.
 
 With `--interactive` the frames come on request, so that another program's can be timed in between: one line
 `{"ready": …}` when all is loaded and warm, then for each line on standard input, a number of degrees, one
-line with that frame's milliseconds; the summary follows the end of the input.
+line with that frame's milliseconds; the summary follows the end of the input. A second number is the camera's distance, in units
+of the pose's own.
 """
 import argparse
 import json
@@ -152,6 +154,30 @@ def load(path, mode, coloring):
     return data, colors is not None
 
 
+def tubes(path, radius, sides):
+    """Triangle strips around the polylines of a file, with normals."""
+    reader = vtk.vtkPolyDataReader()
+    reader.SetFileName(path)
+    tube = vtk.vtkTubeFilter()
+    tube.SetInputConnection(reader.GetOutputPort())
+    tube.SetRadius(radius)
+    tube.SetNumberOfSides(sides)
+    tube.CappingOn()
+    tube.Update()
+    if tube.GetOutput().GetNumberOfStrips() == 0:
+        sys.exit(f"{path}: no polylines to draw as tubes")
+    data = vtk.vtkPolyData()
+    # Without the filter, which keeps its input.
+    data.ShallowCopy(tube.GetOutput())
+    return data
+
+
+def triangles_of(data):
+    """How many triangles a mesh has, those of strips included."""
+    strips = data.GetStrips()
+    return data.GetNumberOfPolys() + strips.GetNumberOfConnectivityIds() - 2 * strips.GetNumberOfCells()
+
+
 def glyphs(path):
     """One actor a file of a scene of copies, the box around them, and how many triangles are drawn."""
     with open(path) as file:
@@ -199,7 +225,7 @@ def glyphs(path):
 
 def make_actor(data, has_colors, args):
     mode = args.mode
-    if mode in ("points", "surface"):
+    if mode in ("points", "surface", "tubes"):
         mapper = vtk.vtkPolyDataMapper()
     else:
         mapper = vtk.vtkPointGaussianMapper()
@@ -222,7 +248,7 @@ def make_actor(data, has_colors, args):
     actor.SetMapper(mapper)
     actor.GetProperty().SetPointSize(args.point_size)
     actor.GetProperty().SetRenderPointsAsSpheres(args.spheres)
-    if mode == "surface":
+    if mode in ("surface", "tubes"):
         actor.GetProperty().SetInterpolationToPhong()
     else:
         actor.GetProperty().SetLighting(args.lighting)
@@ -255,10 +281,13 @@ class Scene:
             actors, low_high, self.triangles = glyphs(args.ply)
             self.has_colors, self.points = False, 0
         else:
-            data, self.has_colors = load(args.ply, args.mode, args.colors)
+            if args.mode == "tubes":
+                data, self.has_colors = tubes(args.ply, args.radius, args.sides), False
+            else:
+                data, self.has_colors = load(args.ply, args.mode, args.colors)
             actors = [make_actor(data, self.has_colors, args)]
             low_high = np.array(data.GetBounds()).reshape(3, 2)
-            self.points, self.triangles = data.GetNumberOfPoints(), data.GetNumberOfPolys()
+            self.points, self.triangles = data.GetNumberOfPoints(), triangles_of(data)
         self.load_ms = (time.perf_counter() - began) * 1e3
 
         self.args = args
@@ -369,7 +398,8 @@ def scene_arguments(description):
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("ply")
     parser.add_argument(
-        "--mode", default="points", choices=["points", "point-gaussian", "splats", "gaussians", "surface"]
+        "--mode", default="points",
+        choices=["points", "point-gaussian", "splats", "gaussians", "surface", "tubes"],
     )
     parser.add_argument("--eye", type=vector, help="x,y,z (default: the whole scene in view)")
     parser.add_argument("--target", type=vector)
@@ -379,7 +409,8 @@ def scene_arguments(description):
     parser.add_argument("--frames", type=int, default=9, help="timed frames")
     parser.add_argument("--warmup", type=int, default=2, help="frames between the first and the timed ones")
     parser.add_argument("--step", type=float, default=0.5, help="degrees the camera turns a frame")
-    parser.add_argument("--radius", type=float, default=0.01, help="of a splat, scene units")
+    parser.add_argument("--radius", type=float, default=0.01, help="of a splat or a tube, scene units")
+    parser.add_argument("--sides", type=int, default=3, help="of a tube; VTK's default is 3")
     parser.add_argument(
         "--bound-scale", type=float, help="triangles of Gaussians and discs, in scale factors; VTK's default is 3"
     )
@@ -414,7 +445,7 @@ def timed(args, frame, load_ms, first_ms):
     print(json.dumps({"ready": True, "load_ms": round(load_ms, 1), "first_ms": round(first_ms, 1)}), flush=True)
     times = []
     for line in sys.stdin:
-        times.append(frame(float(line)))
+        times.append(frame(*(float(word) for word in line.split())))
         print(f"{times[-1]:.3f}", flush=True)
     return times
 
@@ -439,9 +470,11 @@ def main():
     scene = Scene(args)
     encode = encoder(scene.window, args.jpeg, args.encode_png, args.remote)
 
-    def frame(degrees):
+    def frame(degrees, distance=1.0):
         started = time.perf_counter()
-        scene.look(turned(scene.eye, scene.target, args.up, degrees), scene.target, args.up)
+        eye = np.asarray(turned(scene.eye, scene.target, args.up, degrees))
+        eye = scene.target + distance * (eye - scene.target)
+        scene.look(eye.tolist(), scene.target, args.up)
         if args.remote is None:
             scene.window.Render()
         if encode:

@@ -136,7 +136,7 @@ fn watch(
     Ok((frames, device_ms))
 }
 
-/// The same of requests, eight at a time.
+/// Counts the frames of requests, eight at a time.
 fn flood(daemon: &Daemon, key: &str, stop: &AtomicBool) -> anyhow::Result<(u64, f64)> {
     let key = bearer(key);
     let mut pool = (0..8).map(|_| daemon.connect()).collect::<Result<Vec<_>, _>>()?;
@@ -166,7 +166,7 @@ fn device_ms_of(receipt: &Value) -> f64 {
     ms(receipt["gpu_ns"].as_u64().unwrap_or(0)) / together as f64
 }
 
-/// Who asks for one frame after the other, alone and beside a job of as dear frames, in turns.
+/// Measures a client that asks for one frame after the other, alone and beside a job of as dear frames, in turns.
 pub fn beside(report: &mut Report, daemon: &Daemon) -> anyhow::Result<()> {
     let seconds = pick(8.0, 0.5);
     let mut client = daemon.connect()?;

@@ -57,8 +57,11 @@ fn write_output(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocati
         }
         if column.mine {
             var surface = kept_surface(column);
-            surface.color = recoloured(surface, column.at);
-            if SHADED {
+            let is_lit = normals[column.pixel] == LIT_ALREADY;
+            if !is_lit {
+                surface.color = recoloured(surface, column.at);
+            }
+            if SHADED && !is_lit {
                 surface.color = lit_color(surface, column.at);
             }
             if EDL {

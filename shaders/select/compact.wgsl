@@ -108,6 +108,9 @@ fn compact(@builtin(global_invocation_id) invocation: vec3<u32>) {
     if chunk.kind == TRIANGLES {
         count_triangles(counted);
         slot.parts = ALL_PARTS;
+    } else if chunk.kind == SEGMENTS {
+        count_segments(counted);
+        slot.parts = ALL_PARTS;
     } else {
         slot = sample_slot(entry.chunk, chunk, at, box);
         if COUNTS_SAMPLES {

@@ -19,19 +19,23 @@ override HIDES: bool = false;
 const NOT_VISIBLE: u32 = 0xffffffffu;
 const NO_INSTANCE: u32 = 0xffffffffu;
 
-// Distance that splats extend beyond their centres; 0 for points and triangles.
+// Distance that splats extend beyond their centres, and lines beyond their axes; 0 for points and triangles.
 fn reach_of(chunk: Chunk, scale: f32) -> f32 {
+    if chunk.kind == SEGMENTS {
+        return line_reach(chunk, scale);
+    }
     if chunk.kind != SAMPLES {
         return 0.0;
     }
     return splat_reach(chunk, scale);
 }
 
-// The low-pass filter widens splats in the image.
+// The low-pass filter widens splats in the image, and points of nodes cover pixels beside their own.
 fn is_wanted(chunk: Chunk, box: Box, scale: f32, radius: f32) -> bool {
     let deep = box_deep(box);
+    let margin = select(frame.splat_cutoff * frame.splat_lowpass_px, LINE_FILTER_PX, chunk.kind == SEGMENTS);
     return chunk_is_wanted(chunk, scale, box.centre.z - deep, box.centre.z + deep, box_far(box))
-        && box_is_seen(box.centre, box.x, box.y, box.z, radius, frame.splat_cutoff * frame.splat_lowpass_px);
+        && box_is_seen(box.centre, box.x, box.y, box.z, radius, margin + node_px());
 }
 
 // Extends the bounds of everything that may be drawn.
@@ -72,7 +76,7 @@ fn cull(@builtin(global_invocation_id) invocation: vec3<u32>) {
         return;
     }
     // A splat fills at least one pixel.
-    let filter_px = select(0.0, max(frame.splat_cutoff * frame.splat_lowpass_px, 1.0), frame.splat_cutoff > 0.0);
+    let filter_px = max(select(0.0, max(frame.splat_cutoff * frame.splat_lowpass_px, 1.0), frame.splat_cutoff > 0.0), node_px());
     var walk = walk_from(first);
     var rank = 0u;
     var least = vec2<f32>(frame.size_px);
@@ -89,7 +93,7 @@ fn cull(@builtin(global_invocation_id) invocation: vec3<u32>) {
             if is_wanted(chunk, box, scale, reach) {
                 mine = rank;
                 rank++;
-                let bounds = drawn_bounds(Box(box.centre, box.x, box.y, box.z, box.slack + reach), filter_px);
+                let bounds = drawn_bounds(Box(box.centre, box.x, box.y, box.z, box.slack + reach), select(filter_px, LINE_FILTER_PX, chunk.kind == SEGMENTS));
                 least = min(least, bounds.least);
                 most = max(most, bounds.most);
                 if HIDES {

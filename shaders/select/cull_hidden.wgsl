@@ -86,10 +86,13 @@ fn shown_parts(slot: Slot, chunk: Chunk) -> u32 {
     let at = placed[frame.first_instance + slot.instance];
     let whole = grid_box(at, chunk.origin, chunk.extent);
     let is_splats = SPLATS && chunk.kind == SAMPLES;
-    let reach = select(0.0, splat_reach(chunk, stretch(at)), is_splats);
-    // A splat fills at least one pixel, and the disc of a node reaches as far as its error.
-    let node_px = select(0.0, frame.lod_scale * max(frame.focal_px.x, frame.focal_px.y), DISCS);
-    let filter_px = select(0.0, max(frame.splat_cutoff * frame.splat_lowpass_px, max(node_px, 1.0)), is_splats);
+    let is_lines = chunk.kind == SEGMENTS;
+    let reach = select(select(0.0, splat_reach(chunk, stretch(at)), is_splats), line_reach(chunk, stretch(at)), is_lines);
+    // A splat fills at least one pixel, and what is drawn of a node as points or as a disc reaches as far as its error.
+    let is_node = chunk.kind == SAMPLES && chunk.node_base > 0.0 && (DISCS || !SPLATS);
+    let node_px = select(0.0, frame.lod_scale * max(frame.focal_px.x, frame.focal_px.y), is_node);
+    let splat_px = select(0.0, max(frame.splat_cutoff * frame.splat_lowpass_px, 1.0), is_splats);
+    let filter_px = select(max(splat_px, node_px), LINE_FILTER_PX, is_lines);
     let widened = Box(whole.centre, whole.x, whole.y, whole.z, whole.slack + reach);
     var left = select((chunk.count + PART - 1u) / PART, 0u, is_hidden(drawn_bounds(widened, filter_px)));
     var shown = 0u;
@@ -100,7 +103,7 @@ fn shown_parts(slot: Slot, chunk: Chunk) -> u32 {
         }
         let low = parts[slot.chunk][left].low;
         var part = part_box(whole, low, parts[slot.chunk][left].high);
-        part.slack = fma(reach, select(longest_of(low), 1.0, DISCS), part.slack);
+        part.slack = fma(reach, select(longest_of(low), 1.0, DISCS && !is_lines), part.slack);
         if !is_hidden(drawn_bounds(part, filter_px)) {
             shown |= 1u << left;
         }
@@ -121,6 +124,8 @@ fn ask(run: Run, slot_index: u32) {
     let elements = countOneBits(shown) * PART - select(0u, (last + 1u) * PART - chunk.count, (shown >> last) == 1u);
     if chunk.kind == TRIANGLES {
         count_triangles(elements);
+    } else if chunk.kind == SEGMENTS {
+        count_segments(elements);
     } else if COUNTS_SAMPLES {
         count_samples(elements);
     }

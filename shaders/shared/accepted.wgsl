@@ -14,7 +14,12 @@ const DEPTH_SLACK: f32 = 4e-6;
 // In the split error mode: the least part of a node's error that is seen of it, from wherever.
 const SIDEWAYS: f32 = 0.5;
 
+// The accepted error in pixels.
+fn lod_px() -> f32 {
+    return frame.lod_scale * max(frame.focal_px.x, frame.focal_px.y);
+}
+
 // Distance in pixels from which a node beside the image may still reach into it.
 fn lod_margin() -> f32 {
-    return frame.lod_scale * max(frame.focal_px.x, frame.focal_px.y) + frame.splat_cutoff * frame.splat_lowpass_px;
+    return lod_px() + frame.splat_cutoff * frame.splat_lowpass_px;
 }

@@ -11,6 +11,17 @@ fn clip_forms(lines: vec2<u32>, forms: KernelForms, spread: vec2<f32>, spread_t:
     return ClipForms(0u);
 }
 
+// The part of a kernel that clip lines keep, as an ellipse in kernel coordinates: its centre and the images of both axes.
+struct KeptPart {
+    centre: vec2<f32>,
+    u: vec2<f32>,
+    v: vec2<f32>,
+}
+
+fn kept_part(lines: vec2<u32>) -> KeptPart {
+    return KeptPart(vec2<f32>(0.0), vec2<f32>(1.0, 0.0), vec2<f32>(0.0, 1.0));
+}
+
 fn clip_keeps(clip: ClipForms, d: vec2<f32>) -> bool {
     return true;
 }

@@ -19,6 +19,11 @@ fn walk_next(walk: ptr<function, Walk>) -> Entry {
     return entry;
 }
 
+// How far samples are drawn beside their pixels, where that does not follow from their kernels.
+fn node_px() -> f32 {
+    return 0.0;
+}
+
 fn chunk_is_wanted(chunk: Chunk, scale: f32, low: f32, high: f32, far: f32) -> bool {
     return true;
 }

@@ -85,6 +85,11 @@ fn walk_next(walk: ptr<function, Walk>) -> Entry {
     return entry;
 }
 
+// How far nodes are drawn beside their pixels, where that does not follow from their kernels.
+fn node_px() -> f32 {
+    return select(0.0, lod_px(), MEASURE == 1u);
+}
+
 // Whether some node of a chunk may be drawn. `scale`: of cells to camera space; `low`, `high`: depths of its box; `far`: no point of
 // it is farther from the eye.
 fn chunk_is_wanted(chunk: Chunk, scale: f32, low: f32, high: f32, far: f32) -> bool {

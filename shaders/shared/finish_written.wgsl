@@ -10,3 +10,8 @@ fn finish(pixel: u32, at: vec2<u32>, surface: Surface) {
     }
     pixels[pixel] = output_word(shown);
 }
+
+// For a surface whose colour is the one under all lights.
+fn finish_lit(pixel: u32, surface: Surface) {
+    pixels[pixel] = output_word(surface);
+}

@@ -72,7 +72,7 @@ struct Frame {
     edl: vec2<f32>,
     // Samples as discs: their radius in scene units; `splat_lowpass_px` is their least radius in pixels, and `splat_cutoff` 1.
     disc_radius: f32,
-    // The colour map of `color_by`: how many colours it has; the share of the range that a position in camera space has, as a product
+    // The colour map of surfaces that show a value: how many colours it has; the share of the range that a position in camera space has, as a product
     // with the first three numbers plus the last, or that a field's share of its own range has, as a product with the first number
     // plus the last; the colours as sRGB8.
     ramp_count: u32,
@@ -154,7 +154,7 @@ fn at_depth(pixel: vec2<f32>, z: f32) -> vec3<f32> {
     return on_ray(ray_through(pixel), z);
 }
 
-// The same, of a ray that ray_through gives.
+// The camera-space place at a depth on a ray that ray_through gives.
 fn on_ray(ray: vec3<f32>, z: f32) -> vec3<f32> {
     if ORTHOGRAPHIC {
         return vec3<f32>(ray.xy, z);

@@ -162,3 +162,11 @@ fn splat_reach(chunk: Chunk, scale: f32) -> f32 {
     let reach = 2.02 * frame.splat_cutoff * frame.splat_width * chunk.kernel_base * exp2(f32(chunk.shift)) * scale;
     return max(reach, frame.disc_radius);
 }
+
+// How far tubes and ribbons of a chunk may reach from their axes in camera space, of an instance's stretch.
+fn line_reach(chunk: Chunk, scale: f32) -> f32 {
+    return 1.001 * chunk.kernel_base * scale;
+}
+
+// Pixels that thin lines may be widened by in the image.
+const LINE_FILTER_PX: f32 = 1.0;

@@ -28,9 +28,13 @@ fn list_entry(id: u32, low: vec2<u32>, high: vec2<u32>) {
 // Lists what is large, of which a frame may have a limited amount.
 fn list_large(id: u32, low: vec2<u32>, high: vec2<u32>) {
     list_entry(id, low, high);
+    let box = high - low + vec2<u32>(1u);
+    list_units((box.x * box.y + 4095u) / 4096u);
+}
+
+// Adds to the amount, in units of 4096 pixels.
+fn list_units(units: u32) {
     if COUNTS {
-        let box = high - low + vec2<u32>(1u);
-        let units = (box.x * box.y + 4095u) / 4096u;
         let old = atomicAdd(&stats[frame.view].large_units, units);
         if old + units < old {
             atomicMax(&stats[frame.view].large_wrapped, 1u);

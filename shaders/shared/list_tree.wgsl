@@ -74,7 +74,7 @@ fn wanted_parts(index: u32, chunk: Chunk, at: Placed, whole: Box, unit: f32, one
     }
     let scale = stretch(at);
     let reach = 2.02 * frame.splat_cutoff * frame.splat_width * chunk.kernel_base * exp2(f32(chunk.shift)) * scale;
-    let margin = frame.splat_cutoff * frame.splat_lowpass_px;
+    let margin = frame.splat_cutoff * frame.splat_lowpass_px + select(0.0, lod_px(), MEASURE == 1u);
     let turns = MEASURE == 0u && one_sided && keeps_angles(at.axis_x.xyz / scale, at.axis_y.xyz / scale, at.axis_z.xyz / scale);
     let sideways = select(1.0, SIDEWAYS, SPLIT);
     var wanted = 0u;

@@ -51,6 +51,13 @@ fn is_kept(sample: u32, own: u32, unit: f32, centre: vec3<f32>, seen: f32, drawn
     return true;
 }
 
+fn node_reach_px(sample: u32, own: u32, unit: f32, centre: vec3<f32>) -> f32 {
+    return 0.0;
+}
+
+const OWN_PIXEL: f32 = 0.5;
+const FILLS: u32 = 254u;
+
 fn covers_pixel(sample: u32, own: vec2<u32>, unit: f32, centre: vec3<f32>, beside: vec3<f32>, areas: Areas) -> bool {
     return true;
 }

@@ -131,7 +131,7 @@ fn node_part(own: u32) -> f32 {
     return exp2(-0.125 * f32((own >> 24u) & 63u));
 }
 
-// Whether a node of colour word `own` is one of those that are drawn of its kind. `seen`: what is seen of its area, see `seen_area`; `drawn_px`: the
+// Returns whether thinning keeps this node. `own`: its colour word; `seen`: what is seen of its area, see `seen_area`; `drawn_px`: the
 // area in the image that it is drawn as; `place`: its stored position.
 fn is_kept(sample: u32, own: u32, unit: f32, centre: vec3<f32>, seen: f32, drawn_px: f32, place: vec2<u32>, key: u32) -> bool {
     let extent = node_extent(sample, unit);
@@ -151,19 +151,24 @@ fn is_kept(sample: u32, own: u32, unit: f32, centre: vec3<f32>, seen: f32, drawn
 // Nodes of this byte and those above fill the pixel that they are in; FILLS of src/bake/tree/coverage.rs.
 const FILLS: u32 = 254u;
 
-// Whether a whole node, in camera space at `centre`, is drawn in the pixel that it is in, whose centre is `beside` it there. Nodes of a
-// mesh that reach no pixel but their own are drawn only where the ray through its centre meets their disk, thickened as normals
-// below it turn: as triangles are, so that outlines do not grow by half a pixel. Every point of a surface is in the disk of a node,
-// and so is a pixel's centre; that node is in the same pixel: no gap opens.
+// Radius in pixels of what a whole node stands for; 0 for samples that stand for themselves.
+fn node_reach_px(sample: u32, own: u32, unit: f32, centre: vec3<f32>) -> f32 {
+    let seen = towards(centre);
+    let reach = node_extent(sample, unit) * length(seen) * max(frame.focal_px.x, frame.focal_px.y) / (seen.z * seen.z);
+    return select(reach, 0.0, (own >> 24u) == ALWAYS);
+}
+
+// Nodes up to this radius in pixels reach the centre of no pixel but their own.
+const OWN_PIXEL: f32 = 0.5;
+
+// Whether a whole node, in camera space at `centre`, is drawn in a pixel whose centre is `beside` it there: where the ray through the
+// pixel's centre meets the ball about all leaves. Nodes of a mesh have to meet it with their disk, thickened as normals below it turn: as
+// triangles are drawn, so that outlines do not grow by half a pixel. Every point of a surface is in the disk of a node, and so is a pixel's
+// centre: no gap opens.
 fn covers_pixel(sample: u32, own: vec2<u32>, unit: f32, centre: vec3<f32>, beside: vec3<f32>, areas: Areas) -> bool {
     let extent = node_extent(sample, unit);
     let seen = towards(centre);
-    let far = length(seen);
-    let reach_px = extent * far * max(frame.focal_px.x, frame.focal_px.y);
-    if (own.x >> 24u) >= FILLS || reach_px >= 0.5 * seen.z * seen.z {
-        return true;
-    }
-    let way = seen / far;
+    let way = seen / length(seen);
     let along = dot(beside, way);
     if dot(beside, beside) - along * along > extent * extent {
         return false;
@@ -172,7 +177,7 @@ fn covers_pixel(sample: u32, own: vec2<u32>, unit: f32, centre: vec3<f32>, besid
     let mapped = areas.x * n.x + areas.y * n.y + areas.z * n.z;
     let size = length(mapped);
     // Without a normal, or flattened by its map: a ball.
-    if !(size > 0.0) {
+    if (own.x >> 24u) >= FILLS || !(size > 0.0) {
         return true;
     }
     let normal = mapped / size;

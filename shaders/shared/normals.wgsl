@@ -11,10 +11,6 @@ fn normal_map(instance: u32) -> NormalMap {
     return NormalMap(instances[instance].inverse_x.xyz, instances[instance].inverse_y.xyz, instances[instance].inverse_z.xyz);
 }
 
-// Length of the blended normals of what looks everywhere, and what is shorter is lit as that; rounding of what has no normal is shorter.
-const BALL_NORMAL: f32 = 0.2;
-const LONGEST_BALL: f32 = 0.25;
-
 // A normal in world space, up to length.
 fn turned(map: NormalMap, local: vec3<f32>) -> vec3<f32> {
     return map.x * local.x + map.y * local.y + map.z * local.z;

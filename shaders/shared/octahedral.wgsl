@@ -1,6 +1,13 @@
 // Unit vectors in two signed 16-bit numbers (octahedral map); NO_NORMAL stands for none, BALL for all of them alike.
 const NO_NORMAL: u32 = 0x80008000u;
 const BALL: u32 = 0x80000000u;
+// In kept surfaces: the colour is already that under all lights.
+const LIT_ALREADY: u32 = 0x80000001u;
+
+// Length that stands for a surface with all normals alike, and the length up to which blended normals are lit as such a surface. Rounding errors of
+// missing normals are shorter.
+const BALL_NORMAL: f32 = 0.2;
+const LONGEST_BALL: f32 = 0.25;
 
 fn octahedral_decode(packed: u32) -> vec3<f32> {
     if packed == NO_NORMAL {

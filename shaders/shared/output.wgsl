@@ -1,4 +1,4 @@
-// The frame's output: how a pixel's word encodes a surface. Depths, normals and the kinds of output are known here alone.
+// The frame's output: how a pixel's word encodes a surface. Resolve passes only ask which parts of a surface an output needs.
 //!include shared/surface
 override OUTPUT: u32 = 0u;
 

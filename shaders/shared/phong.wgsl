@@ -74,8 +74,8 @@ fn all_lights(albedo: vec3<f32>, material: Material, n: vec3<f32>, place: vec3<f
     return color;
 }
 
-// What looks everywhere, as the mean over what is seen of a ball: the phase function of a Lambertian sphere (Schönberg 1929) over π; of
-// highlights, a ball reflects alike in all directions.
+// Light from a surface that looks everywhere, as the mean over the visible half of a ball: the phase function of a Lambertian sphere
+// (Schönberg 1929) over π. A ball reflects highlights alike in all directions.
 fn phong_ball(light: Light, albedo: vec3<f32>, material: Material, place: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
     let l = arriving(light, place, to_eye);
     let c = clamp(dot(l.xyz, to_eye), -1.0, 1.0);

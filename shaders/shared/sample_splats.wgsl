@@ -111,9 +111,6 @@ fn tilt_cosine(slot: SplatSlot, sample: u32, centre: vec3<f32>) -> f32 {
     return min(abs(dot(across, way)) * inverseSqrt(max(dot(across, across) * dot(way, way), 1e-37)), 1.0);
 }
 
-// Radius in pixels of disks that count as no larger: what covers so much of the image is drawn, however coarsely.
-const MOST_THINNED_PX: f32 = 2.0;
-
 // The area in the image of a node's disk, cut off, of which so much is seen; no less than a pixel, which it fills.
 fn drawn_px(slot: SplatSlot, axis: vec3<f32>, centre: vec3<f32>, seen: f32) -> f32 {
     let focal_px = max(frame.focal_px.x, frame.focal_px.y);

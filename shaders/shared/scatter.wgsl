@@ -31,7 +31,7 @@ fn scatter(group: vec3<u32>, lane: u32) {
     var looked_at = 0u;
     var rounds = 0u;
     let longest = u32(frame.small_splat_px) + 1u;
-    // Many nodes are not drawn: those that are, of up to 32, are gathered before anything dear is done for them.
+    // Many nodes are not drawn: those of up to 32 that are drawn are gathered before any expensive work.
     var start = lane;
     while start < count {
         let base = start;

@@ -43,6 +43,7 @@ struct Placed {
 // Kinds of geometry, see GeometryKind in src/bake/pack/kind.rs.
 const SAMPLES: u32 = 0u;
 const TRIANGLES: u32 = 1u;
+const SEGMENTS: u32 = 2u;
 
 // Flags of chunks. The normals of samples point outwards.
 const CHUNK_ORIENTED: u32 = 1u;
@@ -62,10 +63,10 @@ struct Chunk {
     count: u32,
     // Samples: their 21-bit coordinates count in steps of 2^shift cells.
     shift: u32,
-    // Triangles: first vertex in the page.
+    // Triangles and lines: first vertex in the page.
     vertex_first: u32,
     material: u32,
-    // Samples: longest axis of a kernel, in steps of 2^shift cells.
+    // Samples: longest axis of a kernel, in steps of 2^shift cells. Lines: the largest radius, in cells.
     kernel_base: f32,
     // For point trees, in cells; see NodeRange in src/bake/pack.rs.
     node_base: f32,
@@ -188,10 +189,18 @@ struct Stats {
     // Bounds in pixels of all that may be drawn: how far they begin before the image's right and lower edges, and where they end.
     drawn_before: array<atomic<u32>, 2>,
     drawn_end: array<atomic<u32>, 2>,
+    // Pixels that show no sample of their own, and that pull-push has filled.
+    pixels_filled: atomic<u32>,
+    unused: u32,
+    // Segments of lines: in slots that were tested, left to walk_lines, and pixels that show one.
+    segments_tested_lo: atomic<u32>,
+    segments_tested_hi: atomic<u32>,
+    segments_listed: atomic<u32>,
+    pixels_of_segments: atomic<u32>,
 }
 
 // Words of a view's record, and places in it for those who only read.
-const STATS_WORDS: u32 = 22u;
+const STATS_WORDS: u32 = 28u;
 const STAT_LARGE_LONGEST: u32 = 8u;
 const STAT_LARGE_UNITS: u32 = 9u;
 const STAT_LARGE_WRAPPED: u32 = 10u;

@@ -34,6 +34,7 @@ const EXACT: u32 = 2u;
 
 //!include shared/clipping
 //!include shared/kept
+//!include shared/kernel
 // A clip line that keeps everything.
 const NO_LINE: u32 = 0x8000u;
 
@@ -109,7 +110,7 @@ fn splat_distance(splat: Splat, d: vec2<f32>) -> f32 {
     return distance_of(splat, splat.s, splat.t, d);
 }
 
-// A distance as weights take it: no more than the cutoff.
+// Clamps a distance to the cutoff, for weights.
 fn splat_weight(splat: Splat, q: f32) -> f32 {
     return max(round(splat.amplitude * exp(-0.5 * min(q, frame.splat_cutoff * frame.splat_cutoff)) * frame.weight_one), 1.0);
 }
@@ -161,34 +162,6 @@ fn facing_of(volume: f32, orientation: f32) -> u32 {
 // Applies the intrinsics to a direction.
 fn with_intrinsics(v: vec3<f32>) -> vec3<f32> {
     return vec3<f32>(fma(frame.focal_px, v.xy, frame.principal_px * select(v.z, 0.0, ORTHOGRAPHIC)), v.z);
-}
-
-// Unit vectors across a unit vector (Duff et al. 2017).
-struct Tangents {
-    u: vec3<f32>,
-    v: vec3<f32>,
-}
-
-fn tangent_frame(n: vec3<f32>) -> Tangents {
-    let s = select(-1.0, 1.0, n.z >= 0.0);
-    let a = -1.0 / (s + n.z);
-    let b = n.x * n.y * a;
-    return Tangents(vec3<f32>(1.0 + s * n.x * n.x * a, s * b, -s * n.x), vec3<f32>(b, s + n.y * n.y * a, -n.y));
-}
-
-fn axis_length(code: u32, base: f32) -> f32 {
-    return select(base * exp2((1.0 - f32(code)) * 0.0078125), 0.0, code == 0u);
-}
-
-// Both axes of a kernel, in the chunk's steps.
-fn kernel_axes(word: u32, base: f32, normal: vec3<f32>) -> Tangents {
-    let lengths = vec2<f32>(axis_length(word & 0x7ffu, base), axis_length((word >> 11u) & 0x7ffu, base)) * frame.splat_width;
-    let p = (f32(word >> 22u) - 511.0) / 511.0;
-    let inverse = 1.0 / fma(p, p, 1.0);
-    let cos = (1.0 - p * p) * inverse;
-    let sin = 2.0 * p * inverse;
-    let own = tangent_frame(normal);
-    return Tangents((cos * own.u + sin * own.v) * lengths.x, (cos * own.v - sin * own.u) * lengths.y);
 }
 
 // Pixels whose centres lie in a box, cut to the image; none where high < low.

@@ -8,7 +8,8 @@ const ALL_PARTS: u32 = 0xffffu;
 // Elements of a part.
 const PART: u32 = 64u;
 
-// The first element from `index` on that is drawn and is this thread's: those of a chunk of `count` that are `lane` and every some behind.
+// Returns the next drawn element, at or after `index`, that belongs to this thread. The chunk has `count` elements; the thread starts at `lane` and
+// advances by a fixed stride.
 fn next_element(index: u32, parts: u32, lane: u32, count: u32) -> u32 {
     var at = index;
     while at < count && ((parts >> (at / PART)) & 1u) == 0u {

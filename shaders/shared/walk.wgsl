@@ -31,7 +31,7 @@ fn walk_list(group: vec3<u32>, stride: u32, lane: u32) {
     var i = group.x;
     var rounds = 0u;
     loop {
-        // On to the next entry of this band, before anything dear is done: see shared/resolve.
+        // On to the next entry of this band, before any expensive work: see shared/resolve.
         var rows_of = vec2<i32>(0);
         var word = 0u;
         loop {

@@ -125,6 +125,7 @@ impl Reference {
             lights: &self.description.lights,
             background: self.description.background,
             splats: None,
+            pull_push: None,
             discs: None,
             recolor: None,
             clip: None,

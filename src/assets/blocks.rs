@@ -1,6 +1,6 @@
 //! Points of a file some at a time, for files that do not fit into memory.
 //!
-//! What the points are is decided by the whole file (whether colours are bytes, which intensity is the largest), so that it is gone
+//! The whole file decides what the points are (whether colours are bytes, which intensity is the largest), so that it is gone
 //! through twice: [`PointBlocks::survey`] finds that out, and [`PointBlocks::each`] gives the points as [`super::read`] would have
 //! given them all at once. PLY files without faces can be read so, gzipped or not, and LAS and LAZ files that are not gzipped; of a
 //! LAZ file as many chunks are in memory as threads decompress.

@@ -5,12 +5,15 @@ use std::path::Path;
 
 use super::input::Input;
 use super::warnings::condensed;
-use super::{Asset, AssetError, ReadOptions, e57, gltf, las, obj, off, pcd, ply, ptx, stl, xyz};
+use super::{
+    Asset, AssetError, ReadOptions, e57, gltf, hair, las, obj, off, pcd, ply, ptx, stl, swc, tck,
+    trk, vtk, xyz,
+};
 
 /// Extensions of the formats that are read, in lower case; each may be followed by `.gz`.
 pub const FORMATS: &[&str] = &[
     "ply", "las", "laz", "obj", "stl", "gltf", "glb", "xyz", "pts", "csv", "txt", "ptx", "pcd",
-    "off", "e57",
+    "off", "e57", "swc", "tck", "trk", "vtk", "vtp", "hair",
 ];
 
 /// Whether a file of this name is worth offering to [`read`].
@@ -37,6 +40,14 @@ enum Format {
     Pcd,
     Ptx,
     Xyz,
+    Swc,
+    Tck,
+    Trk,
+    /// The legacy format of VTK.
+    Vtk,
+    /// The XML format of VTK.
+    Vtp,
+    Hair,
     /// Known, and not offered: what it is.
     Refused(&'static str),
     Unknown,
@@ -55,6 +66,12 @@ pub fn read(path: &Path, options: &ReadOptions) -> Result<Asset, AssetError> {
         Format::Stl => stl::read_from(input, options),
         Format::Off => off::read_from(input, options),
         Format::Gltf => gltf::read_from(input, options),
+        Format::Swc => swc::read_from(input, options),
+        Format::Tck => tck::read_from(input, options),
+        Format::Trk => trk::read_from(input, options),
+        Format::Vtk => vtk::read_legacy(input, options),
+        Format::Vtp => vtk::read_xml(input, options),
+        Format::Hair => hair::read_from(input, options),
         format @ (Format::Las | Format::E57 | Format::Pcd | Format::Ptx | Format::Xyz) => {
             if input.origin.exact {
                 read_samples(format, path, &name, options)
@@ -174,19 +191,17 @@ fn recognise(head: &[u8], name: &str) -> Format {
 }
 
 /// First bytes that settle it.
-const SIGNATURES: [(&[u8], Format); 13] = [
+const SIGNATURES: [(&[u8], Format); 14] = [
     (b"glTF", Format::Gltf),
     (b"LASF", Format::Las),
     (b"ASTM-E57", Format::E57),
     (b"# .PCD", Format::Pcd),
     (b"NGSP", Format::Refused("an SPZ file holds Gaussian splats, which are not offered yet")),
     (b"DRACO", Format::Refused("Draco compression is not offered")),
-    (b"TRACK\0", Format::Refused("a TrackVis file holds streamlines; lines are not offered yet")),
-    (
-        b"mrtrix tracks",
-        Format::Refused("an MRtrix file holds streamlines; lines are not offered yet"),
-    ),
-    (b"# vtk DataFile", Format::Refused("legacy VTK files are not offered")),
+    (b"TRACK\0", Format::Trk),
+    (b"mrtrix tracks", Format::Tck),
+    (b"# vtk DataFile", Format::Vtk),
+    (b"HAIR", Format::Hair),
     (b"ISO-10303-21", Format::Refused("a STEP file holds CAD solids, which are not offered")),
     (b"PK\x03\x04", Format::Refused("a ZIP archive (3MF, USDZ, KMZ) is not offered: unpack it")),
     (b"\x89PNG", Format::Refused("is an image, not a scene of points or meshes")),
@@ -205,7 +220,7 @@ fn by_signature(head: &[u8]) -> Option<Format> {
     if is_off(word) {
         return Some(Format::Off);
     }
-    contains(head, b"<VTKFile").then_some(Format::Refused("VTK's XML files are not offered"))
+    contains(head, b"<VTKFile").then_some(Format::Vtp)
 }
 
 fn contains(head: &[u8], needle: &[u8]) -> bool {
@@ -231,14 +246,20 @@ fn by_extension(extension: &str, head: &[u8]) -> Option<Format> {
         "pcd" => Format::Pcd,
         "ptx" => Format::Ptx,
         "asc" if matches!(head.first(), Some(b';' | b'(')) => {
-            Format::Refused("a Neurolucida file holds traced lines; lines are not offered yet")
+            Format::Refused("a Neurolucida file is not offered: convert it to SWC")
         }
         "xyz" | "pts" | "csv" | "txt" | "asc" => Format::Xyz,
-        "swc" => Format::Refused("an SWC file holds traced lines; lines are not offered yet"),
+        "swc" => Format::Swc,
         "splat" | "ksplat" | "spz" => Format::Refused("Gaussian splats are not offered yet"),
         "drc" => Format::Refused("Draco compression is not offered"),
-        "trk" | "tck" => Format::Refused("streamlines are not offered yet"),
-        "vtk" | "vtp" | "vtu" => Format::Refused("VTK files are not offered"),
+        "tck" => Format::Tck,
+        "trk" => Format::Trk,
+        "vtk" => Format::Vtk,
+        "vtp" => Format::Vtp,
+        "hair" => Format::Hair,
+        "vtu" => {
+            Format::Refused("unstructured grids of VTK are not offered: convert them to PolyData")
+        }
         _ => return None,
     })
 }
@@ -274,10 +295,10 @@ mod tests {
 
     #[test]
     fn extensions_look_through_gzip_and_case() {
-        for name in ["a.PLY", "b.obj.gz", "c.copc.laz", "d.e.STL", "e.xyz.GZ"] {
+        for name in ["a.PLY", "b.swc", "b.obj.gz", "c.copc.laz", "d.e.STL", "e.xyz.GZ"] {
             assert!(is_supported_extension(name), "{name}");
         }
-        for name in ["ply", "a.gz", "b.swc", "c.ply.bak", "", "d.splat"] {
+        for name in ["ply", "a.gz", "b.asc", "c.ply.bak", "", "d.splat"] {
             assert!(!is_supported_extension(name), "{name}");
         }
     }
@@ -398,7 +419,7 @@ mod tests {
         #[test]
         fn random_bytes_never_panic(
             bytes in prop::collection::vec(any::<u8>(), 0..300),
-            extension in prop::sample::select(vec!["ply", "obj", "stl", "off", "gltf", "glb", "x"]),
+            extension in prop::sample::select(vec!["ply", "obj", "stl", "off", "gltf", "glb", "swc", "tck", "trk", "vtk", "vtp", "hair", "x"]),
         ) {
             let _ = read_file(&format!("a.{extension}"), &bytes);
         }

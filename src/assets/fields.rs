@@ -364,6 +364,11 @@ impl Column {
         self.numbers.len()
     }
 
+    /// Keeps the first points.
+    pub fn truncate(&mut self, points: usize) {
+        with_list!(&mut self.numbers, list => list.truncate(points));
+    }
+
     /// Keeps the flagged points.
     pub fn retain(&mut self, kept: &[bool]) {
         with_list!(&mut self.numbers, list => super::tidy::retain(list, kept));

@@ -1,18 +1,20 @@
 //! Readers: one file per format, each turning bytes into the same few structures (floor 1).
 //!
 //! [`read`] looks at the file's content first and at its extension second, and returns an [`Asset`]:
-//! geometries ([`PointCloud`], [`Mesh`]), materials, textures, and the placements that a format with
+//! geometries ([`PointCloud`], [`Mesh`], [`Polylines`]), materials, textures, and the placements that a format with
 //! its own node hierarchy (glTF) asks for. Coordinates stay in f64 as the file has them.
 //!
 //! No reader allocates more than the file's length can justify, whatever its header says, and every
 //! error names the file, the element and the property at fault.
 
+mod base64;
 mod blocks;
 mod dispatch;
 pub mod e57;
 mod fault;
 pub mod fields;
 pub mod gltf;
+pub mod hair;
 pub mod input;
 pub mod las;
 pub mod obj;
@@ -24,12 +26,18 @@ mod polygon;
 pub mod ptx;
 mod quiet;
 pub mod stl;
+mod strands;
+pub mod swc;
+pub mod tck;
 mod texture;
 pub(crate) mod tidy;
 mod tokens;
+pub mod trk;
+pub mod vtk;
 pub mod warnings;
 pub mod xyz;
 
+use std::ops::Range;
 use std::path::PathBuf;
 
 use glam::{DAffine3, DVec3, Vec2, Vec3};
@@ -71,6 +79,7 @@ pub struct Placement {
 pub enum Geometry {
     Points(PointCloud),
     Mesh(Mesh),
+    Lines(Polylines),
 }
 
 /// sRGB colour of points to which neither a colour nor another attribute gives one.
@@ -181,6 +190,61 @@ pub struct MeshPart {
     pub triangles: u32,
     /// Index into [`Asset::materials`].
     pub material: Option<u32>,
+}
+
+/// Strands of straight segments with a width: tubes, or ribbons where there are normals. Every optional vector is as long as
+/// `positions`.
+#[derive(Clone, Debug, Default)]
+pub struct Polylines {
+    /// Vertices, strand after strand.
+    pub positions: Vec<DVec3>,
+    /// The first vertex of each strand, ascending, and behind them the number of vertices. A strand has two vertices or more.
+    pub strands: Vec<u32>,
+    /// Radii of tubes or half the widths of ribbons, in asset units, finite and not negative; `None` where the file has none.
+    pub radii: Option<Vec<f32>>,
+    /// Normals of ribbons, of unit length; `None` makes tubes.
+    pub normals: Option<Vec<Vec3>>,
+    /// sRGB with straight alpha.
+    pub colors: Option<Vec<[u8; 4]>>,
+    /// Scalar fields of the vertices, by different names.
+    pub fields: Fields,
+}
+
+impl Polylines {
+    /// The largest radius; 0 without radii.
+    pub fn widest(&self) -> f64 {
+        let radii = self.radii.iter().flatten();
+        f64::from(radii.copied().filter(|radius| radius.is_finite()).fold(0.0, f32::max))
+    }
+
+    /// The segments: each strand's, in order, by the number of their first vertex. The vertex behind it is their second.
+    pub fn segments(&self) -> impl Iterator<Item = u32> {
+        self.strands.windows(2).flat_map(|ends| ends[0]..ends[1].saturating_sub(1))
+    }
+
+    /// The vertices of the strand that a vertex belongs to.
+    pub fn strand_of(&self, vertex: u32) -> Range<usize> {
+        let after = self.strands.partition_point(|&first| first <= vertex);
+        let end = self.strands.get(after).copied().unwrap_or(0);
+        let first = after.checked_sub(1).map_or(0, |before| self.strands[before]);
+        first as usize..end as usize
+    }
+
+    /// The unit direction of a ribbon's width at a vertex of `strand`: normal × tangent, where the tangent is that of the chord between
+    /// the vertices before and behind it. Neighbouring segments therefore share their corners. Zero where there is none.
+    pub fn side(&self, normals: &[Vec3], vertex: usize, strand: Range<usize>) -> DVec3 {
+        let before = vertex.saturating_sub(1).max(strand.start);
+        let after = (vertex + 1).min(strand.end - 1);
+        let normal = normals[vertex].as_dvec3();
+        let across = |from: usize, to: usize| {
+            normal.cross(self.positions[to] - self.positions[from]).normalize_or_zero()
+        };
+        // Where a ribbon turns back by 180°, its chord has no direction.
+        [across(before, after), across(vertex, after), across(before, vertex)]
+            .into_iter()
+            .find(|&side| side != DVec3::ZERO)
+            .unwrap_or(DVec3::ZERO)
+    }
 }
 
 /// Surface appearance, for the Phong model.
@@ -343,13 +407,18 @@ impl Asset {
 
 impl Geometry {
     pub fn bounds(&self) -> Bounds {
-        Bounds::of(self.positions().iter().copied())
+        let bounds = Bounds::of(self.positions().iter().copied());
+        match self {
+            Geometry::Lines(lines) => bounds.grown(lines.widest()),
+            _ => bounds,
+        }
     }
 
     pub fn positions(&self) -> &[DVec3] {
         match self {
             Geometry::Points(cloud) => &cloud.positions,
             Geometry::Mesh(mesh) => &mesh.positions,
+            Geometry::Lines(lines) => &lines.positions,
         }
     }
 }

@@ -309,7 +309,7 @@ mod tests {
     fn mesh(asset: &Asset) -> &Mesh {
         match &asset.geometries[0] {
             Geometry::Mesh(mesh) => mesh,
-            Geometry::Points(_) => panic!("points"),
+            _ => panic!("points"),
         }
     }
 

@@ -149,6 +149,26 @@ impl Assembler {
             let reason = "is for points; the file holds a mesh, whose creases `sample` finds";
             return Err(self.invalid(index, ".features", reason));
         }
+        if let Some(radius) = source.line_radius {
+            let mut has_lines = false;
+            for geometry in &mut asset.geometries {
+                if let Geometry::Lines(lines) = geometry {
+                    has_lines = true;
+                    if lines.radii.is_none() {
+                        let bytes = 4 * lines.positions.len() as u64;
+                        self.options.admission.grow(&self.assets[index].name, bytes)?;
+                    }
+                    lines.radii = Some(vec![radius as f32; lines.positions.len()]);
+                }
+            }
+            if !has_lines {
+                return Err(self.invalid(
+                    index,
+                    ".line_radius",
+                    "the file holds no lines; only files of lines have it",
+                ));
+            }
+        }
         if let Some(sampling) = source.sample {
             let defaults = SampleOptions::default();
             let options = SampleOptions {

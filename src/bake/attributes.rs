@@ -103,7 +103,7 @@ fn estimate(positions: &[DVec3], wants: &Wants) -> Estimates {
             let normal = normal(&neighbors);
             let given = wants.given.get(index_of(neighbors.place)).copied();
             let given = given.filter(|given| *given != Vec3::ZERO);
-            let fit = fit(&neighbors, given.unwrap_or(normal), given.is_some());
+            let (fit, _) = fit(&neighbors, given.unwrap_or(normal), given.is_some());
             (normal, radius(&neighbors), fit.scaled(frame.size))
         });
         for (place, (normal, radius, kernel)) in found.into_iter().enumerate() {

@@ -12,6 +12,7 @@
 //! - [`assemble`] reads, samples and combines the files of a scene's assets;
 //! - [`prepare`] applies these steps as a file needs them, for the GPU and for the reference renderer alike;
 //! - [`hybrid`] samples meshes for point trees, which keep the triangles where triangles are better;
+//! - [`line_levels`] simplifies and thins out lines, from which a frame selects in the same way;
 //! - [`tree`] builds point trees, from which a frame selects its level of detail;
 //! - [`external`] builds the point trees of files that do not fit into memory;
 //! - [`estimate`] estimates normals and kernels of large clouds piece by piece while packing them;
@@ -26,6 +27,7 @@ pub mod csg;
 pub mod estimate;
 pub mod external;
 pub mod hybrid;
+pub mod line_levels;
 pub mod outline;
 pub mod pack;
 pub mod prepare;

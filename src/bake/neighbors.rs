@@ -20,10 +20,14 @@
 //! core and 0.35 s on two, where kiddo 6.3 takes 2.19 s and 0.81 s (`speed_against_kiddo` in the
 //! tests prints both). With normals and radii, 0.83 s on one core and 0.43 s on two.
 
+mod places;
+
 use std::cmp::Ordering;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use rayon::prelude::*;
+
+pub(super) use places::{AROUND, Near, Nearby, Places};
 
 /// Leaves hold at most this many points, and more than half as many unless there is only one.
 const LEAF_POINTS: usize = 32;
@@ -165,6 +169,16 @@ impl Neighbors<'_> {
 
     pub(super) fn position(&self) -> [f32; 3] {
         self.tree.position(self.own)
+    }
+
+    /// Finds the nearest [`AROUND`] places other than the point's own, nearest first, however many points are at each. Gives their
+    /// coordinates relative to the point to `offsets`. Returns the squared distance of the last one, infinite if there are fewer.
+    pub(super) fn around(&self, offsets: &mut Vec<[f32; 3]>) -> f32 {
+        let [x, y, z] = self.position();
+        let found = self.tree.places(self.position());
+        offsets.clear();
+        offsets.extend(found.iter().map(|Near { at, .. }| [at[0] - x, at[1] - y, at[2] - z]));
+        found.bound()
     }
 
     /// The neighbours' own indices.
@@ -432,11 +446,64 @@ impl PointTree {
         }
         let mut best = vec![u64::MAX; k];
         let mut distances = [0.0; LEAF_POINTS];
+        self.near_first(position, |range| {
+            if let Some(range) = range {
+                self.scan(range, position, None, &mut distances, &mut best);
+            }
+            bound(&best)
+        });
+        let known = best.iter().take_while(|&&key| key != u64::MAX);
+        found.extend(known.map(|&key| (distance_of(key), self.order[place_of(key)])));
+    }
+
+    /// The nearest [`AROUND`] places other than this one.
+    fn places(&self, position: [f32; 3]) -> Places {
+        let mut places = Places::default();
+        self.near_first(position, |range| {
+            for near in range.into_iter().flatten().map(|place| self.near(place, position)) {
+                places.add(near);
+            }
+            places.bound()
+        });
+        places
+    }
+
+    /// Adds the points near a position to others. `index_of` gives the index of a point of the tree among all, if it counts.
+    pub(super) fn add_nearby(
+        &self,
+        position: [f32; 3],
+        nearby: &mut Nearby,
+        index_of: impl Fn(u32) -> Option<u32>,
+    ) {
+        self.near_first(position, |range| {
+            for near in range.into_iter().flatten().map(|place| self.near(place, position)) {
+                if let Some(index) =
+                    index_of(near.index).filter(|_| near.distance <= nearby.bound())
+                {
+                    nearby.add(Near { index, ..near });
+                }
+            }
+            nearby.bound()
+        });
+    }
+
+    fn near(&self, place: usize, from: [f32; 3]) -> Near {
+        Near::new(self.position(place), from, self.order[place])
+    }
+
+    /// Calls `visit` with the leaves that may have points within a squared distance of a position, nearer ones before farther ones. It
+    /// returns that distance, and is asked for it, without a leaf, at the start.
+    fn near_first(
+        &self,
+        position: [f32; 3],
+        mut visit: impl FnMut(Option<std::ops::Range<usize>>) -> f32,
+    ) {
         let leaves = 1 << self.levels;
         let point = Aabb::point(position);
+        let mut bound = visit(None);
         let mut stack = vec![1];
         while let Some(node) = stack.pop() {
-            if self.boxes[node].distance_squared(&point) > bound(&best) {
+            if self.boxes[node].distance_squared(&point) > bound {
                 continue;
             }
             if node < leaves {
@@ -445,12 +512,9 @@ impl PointTree {
                 // The nearer child is taken first: it comes last onto the stack.
                 stack.extend(if far(left) <= far(right) { [right, left] } else { [left, right] });
             } else {
-                let range = self.shape().range(self.levels, node - leaves);
-                self.scan(range, position, None, &mut distances, &mut best);
+                bound = visit(Some(self.shape().range(self.levels, node - leaves)));
             }
         }
-        let known = best.iter().take_while(|&&key| key != u64::MAX);
-        found.extend(known.map(|&key| (distance_of(key), self.order[place_of(key)])));
     }
 
     /// Enters the points of a range that are nearer than the last of `best`.

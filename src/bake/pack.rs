@@ -1,6 +1,6 @@
 //! Packs geometries into the chunks that the GPU holds.
 //!
-//! [`kind`] lists the kinds of geometry and what each must provide; [`samples`] and [`triangles`] provide it.
+//! [`kind`] lists the kinds of geometry and what each must provide; [`samples`], [`triangles`] and [`lines`] provide it.
 //!
 //! Positions become integers on a grid of the asset whose step is a power of two, about 2⁻²⁹ of the asset's size. That is finer
 //! than f32 at the asset's edge, and differences are exact, so geometry near the eye keeps all its digits however far it is from
@@ -8,11 +8,12 @@
 //! culling and of a workgroup. A sample's position is stored in 64 bits (3 × 21, relative to its chunk); a sample takes 20 bytes
 //! with colour, normal and reconstruction kernel. Scalar fields of its file add 4 or 8 bytes. Samples with clip lines take 8 bytes more. They are stored in separate chunks
 //! behind the others, so that samples without clip lines do not pay for them. A triangle takes 4 bytes and each of its vertices
-//! 28.
+//! 28. A segment of a line takes 8 bytes and each of its vertices 28.
 
 mod fields;
 mod kernel;
 mod kind;
+mod lines;
 mod order;
 mod pieces;
 mod samples;
@@ -27,6 +28,10 @@ pub use kind::{
     Arrays, Counts, GeometryKind, PackedGeometry, PackedKind, PageKind, Stream, StreamOf,
 };
 pub(super) use kind::{holds, read_words};
+pub use lines::{
+    BEGINS, ENDS, LINE_WORDS, LineEnd, LineVertex, PackedLines, Piece, pack_levels, pack_lines,
+    unpack_lines,
+};
 pub(super) use pieces::Packing;
 pub use samples::{
     CLIP_BYTES, NODE_BYTES, PackedSamples, SAMPLE_BYTES, pack_samples, unpack_samples,
@@ -45,7 +50,7 @@ use rayon::prelude::*;
 use crate::assets::{Geometry, Material};
 use crate::math::Bounds;
 
-/// Maximum number of samples, triangles or vertices in a chunk.
+/// Maximum number of samples, triangles, segments or vertices in a chunk.
 pub const CHUNK: usize = 1024;
 /// The normal word that means no normal.
 pub const NO_NORMAL: u32 = 0x8000_8000;
@@ -74,12 +79,12 @@ pub struct PackedChunk {
     pub count: u32,
     /// Samples: coordinates count in steps of 2^shift cells; 0 for other kinds.
     pub shift: u32,
-    /// Triangles: first vertex and number of vertices.
+    /// Triangles and lines: first vertex and number of vertices.
     pub vertex_first: u32,
     pub vertex_count: u32,
     /// Index into the asset's materials plus one, 0 for the default.
     pub material: u32,
-    /// Samples: longest axis of a kernel, in steps of 2^shift cells.
+    /// Samples: longest axis of a kernel, in steps of 2^shift cells. Lines: the largest radius, in cells.
     pub kernel_base: f32,
     /// Samples: what the normals say about the surface.
     pub sides: Sides,
@@ -119,6 +124,9 @@ impl PackedChunk {
     }
 }
 
+/// An error or size that no frame accepts. Where it is that of a parent, a node is drawn wherever it is fine enough.
+pub const ALWAYS: f32 = 1e30;
+
 /// Bounds over the nodes of a chunk of a point tree, or over the triangles that its leaves stand for. Lengths are in grid cells.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NodeRange {
@@ -142,6 +150,12 @@ pub enum PackError {
     TooFar { extent: f64 },
     #[error("position {index} is not finite")]
     NotFinite { index: usize },
+    #[error("the radius of vertex {index} is not a finite number of 0 or more")]
+    Radius { index: usize },
+    #[error("strands do not cover the vertices in order, or an attribute has another length")]
+    Strands,
+    #[error("the levels of detail have more than 4,294,967,295 vertices")]
+    TooMany,
 }
 
 impl Grid {
@@ -253,6 +267,7 @@ pub fn packing_bytes(geometry: &Geometry) -> u64 {
             (samples::PACKING_BYTES + values) * cloud.positions.len() as u64
         }
         Geometry::Mesh(mesh) => triangles::packing_bytes(mesh),
+        Geometry::Lines(lines) => lines::packing_bytes(lines),
     }
 }
 

@@ -41,6 +41,8 @@ pub struct AssetTraits {
     pub normals_estimated: bool,
     /// Some geometry is a mesh.
     pub has_triangles: bool,
+    /// Some geometry is made of lines.
+    pub has_lines: bool,
     /// Some part of a mesh has a material.
     pub has_materials: bool,
 }
@@ -117,6 +119,14 @@ pub fn prepare_geometry(
             smooth_normals(mesh, if traits.format.starts_with("gl") { 0.0 } else { CREASE_DEG });
             had
         }
+        Geometry::Lines(lines) => {
+            traits.has_lines = true;
+            lines.radii.get_or_insert_with(|| {
+                vec![usual_radius(&lines.positions, &lines.strands); lines.positions.len()]
+            });
+            // Tubes have the normals of their surface.
+            (lines.colors.is_some(), true)
+        }
     };
     traits.has_colors |= has_colors;
     traits.has_normals |= has_normals;
@@ -124,6 +134,35 @@ pub fn prepare_geometry(
     admission.shrink_to(before + kept);
     admission.check()
 }
+
+/// The radius of lines whose file has none: a 2000th of the diagonal, a pixel or so where the whole asset fills a frame. Where lines are
+/// so many that they would cover the frame [`LAYERS`] times over at that radius, it is smaller, so that inner lines can be seen
+/// between outer ones.
+///
+/// By Cauchy's formula a convex box of surface `S` covers `S / 4` on average over all directions, and strips of half width `r` and
+/// length `L` cover `2 r L π / 4`.
+pub fn usual_radius(positions: &[DVec3], strands: &[u32]) -> f32 {
+    let bounds = Bounds::of(positions.iter().copied());
+    if bounds.is_empty() {
+        return 0.0;
+    }
+    let extent = bounds.extent();
+    let diagonal = extent.length();
+    let length: f64 = strands
+        .windows(2)
+        .filter_map(|ends| positions.get(ends[0] as usize..ends[1] as usize))
+        .map(|strand| strand.windows(2).map(|pair| pair[0].distance(pair[1])).sum::<f64>())
+        .sum();
+    let surface = 2.0 * (extent.x * extent.y + extent.y * extent.z + extent.z * extent.x);
+    // A straight line has a box without a surface.
+    let surface = surface.max(0.01 * diagonal * diagonal);
+    let crowded = LAYERS * surface / (std::f64::consts::TAU * length);
+    let radius = if crowded.is_finite() { crowded } else { diagonal }.min(diagonal / 2000.0);
+    radius as f32
+}
+
+/// How often lines of [`usual_radius`] cover an asset's box at most.
+const LAYERS: f64 = 4.0;
 
 /// Maximum bytes that [`prepare_geometry`] adds to a geometry, and that it needs temporarily.
 fn preparation_bytes(geometry: &Geometry) -> (u64, u64) {
@@ -138,6 +177,9 @@ fn preparation_bytes(geometry: &Geometry) -> (u64, u64) {
             let corners = 3 * mesh.triangles.len() as u64;
             // Vertices are split at creases; corners are sorted by vertex.
             if mesh.normals.is_some() { (0, 0) } else { (24 * corners, 48 * corners) }
+        }
+        Geometry::Lines(lines) => {
+            (if lines.radii.is_some() { 0 } else { 4 * lines.positions.len() as u64 }, 0)
         }
     }
 }
@@ -189,7 +231,7 @@ pub struct Outlook<'a> {
 pub fn adapt_bare_asset(description: &mut Scene, assets: &[AssetTraits], outlook: &Outlook) {
     let scan = |asset: &AssetTraits| {
         let is_painted = asset.has_colors || asset.shows_intensity;
-        is_painted && !asset.has_normals && !asset.has_triangles
+        is_painted && !asset.has_normals && !asset.has_triangles && !asset.has_lines
     };
     if assets.iter().all(scan) {
         description.lights.clear();
@@ -237,6 +279,7 @@ pub fn drawn_bounds(geometry: &Geometry) -> Bounds {
             let used = mesh.triangles.iter().flatten();
             Bounds::of(used.filter_map(|&v| mesh.positions.get(v as usize).copied()))
         }
+        Geometry::Lines(_) => geometry.bounds(),
     }
 }
 

@@ -1,4 +1,5 @@
-//! Estimates the distance between samples from their order alone, and that between triangles from their areas.
+//! Estimates the distance between samples from their order alone, that between triangles from their areas, and how far segments
+//! of lines bend away from a straight line.
 //!
 //! Packed samples are sorted along a Morton curve, so that [`GROUP`] consecutive ones lie together. The two longer sides `a ≥ b`
 //! of their box tell how densely they cover what they lie on, about `√(a b / n)` on a surface and, seen from the side, in a
@@ -7,7 +8,7 @@
 
 use glam::{DAffine3, DVec3, IVec3};
 
-use super::pack::{PackedChunk, PackedGeometry, PackedMesh, PackedSamples};
+use super::pack::{Grid, PackedChunk, PackedGeometry, PackedLines, PackedMesh, PackedSamples};
 
 /// Consecutive samples whose box is taken.
 const GROUP: usize = 32;
@@ -18,16 +19,17 @@ const GROUPS: usize = 8;
 /// Chunks of a geometry that are looked at.
 const CHUNKS: usize = 2048;
 
-/// Samples or triangles that lie together, and how far apart they are.
+/// Samples, triangles or segments that lie together, and how far apart they are.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Patch {
     /// Middle of most of them.
     pub centre: DVec3,
     /// Distance from the middle within which most of them lie.
     pub radius: f64,
-    /// Distance between neighbouring samples at the median, or the side of a square as large as the mean triangle.
+    /// Distance between neighbouring samples at the median, the side of a square as large as the mean triangle, or the mean length of
+    /// segments times the angle between neighbours in radians.
     pub spacing: f64,
-    /// Number of samples or triangles that the patch stands for.
+    /// Number of samples, triangles or segments that the patch stands for.
     pub count: f64,
 }
 
@@ -51,6 +53,7 @@ pub fn measure(geometry: &PackedGeometry, most: usize) -> Vec<Patch> {
     match geometry {
         PackedGeometry::Samples(samples) => of_samples(samples, most),
         PackedGeometry::Triangles(mesh) => of_triangles(mesh, most),
+        PackedGeometry::Lines(lines) => of_lines(lines, most),
     }
 }
 
@@ -69,19 +72,33 @@ fn of_samples(samples: &PackedSamples, most: usize) -> Vec<Patch> {
 }
 
 fn of_triangles(mesh: &PackedMesh, most: usize) -> Vec<Patch> {
-    let step = mesh.chunks.len().div_ceil(CHUNKS).max(1);
+    let side = |chunk: &PackedChunk| (mesh.area_of(chunk) / f64::from(chunk.count.max(1))).sqrt();
+    of_boxes(&mesh.grid, &mesh.chunks, most, side)
+}
+
+fn of_lines(lines: &PackedLines, most: usize) -> Vec<Patch> {
+    of_boxes(&lines.grid, &lines.chunks, most, |chunk| lines.bend_of(chunk))
+}
+
+/// Patches with the boxes of chunks. `spacing`: of a chunk's elements, in cells.
+fn of_boxes(
+    grid: &Grid,
+    chunks: &[PackedChunk],
+    most: usize,
+    spacing: impl Fn(&PackedChunk) -> f64,
+) -> Vec<Patch> {
+    let step = chunks.len().div_ceil(CHUNKS).max(1);
     let of = |chunk: &PackedChunk| {
         let [low, high] =
-            [chunk.origin, chunk.origin + chunk.extent].map(|cell| mesh.grid.position(cell));
-        let count = f64::from(chunk.count);
+            [chunk.origin, chunk.origin + chunk.extent].map(|cell| grid.position(cell));
         Patch {
             centre: (low + high) * 0.5,
             radius: (high - low).length() * 0.5,
-            spacing: (mesh.area_of(chunk) / count.max(1.0)).sqrt() * mesh.grid.step,
-            count: count * step as f64,
+            spacing: spacing(chunk) * grid.step,
+            count: f64::from(chunk.count) * step as f64,
         }
     };
-    merged(&mesh.chunks.iter().step_by(step).map(of).collect::<Vec<_>>(), most)
+    merged(&chunks.iter().step_by(step).map(of).collect::<Vec<_>>(), most)
 }
 
 /// Joins consecutive patches until there are no more than `most`.

@@ -1,20 +1,23 @@
 //! Estimate of the share of a surface that splats leave uncovered.
 //!
-//! What is nearer to a sample than to any other is the sample's Voronoi cell in its tangent plane. Disks of [`CUTOFF`] standard deviations
-//! should cover it: the sample's own, or those of its neighbours. Some samples are looked at, evenly spread over a cloud, and of each cell
+//! A sample's Voronoi cell in its tangent plane holds all places that are nearer to it than to any other sample. Disks of [`CUTOFF`] standard
+//! deviations should cover it: the sample's own, or those of its neighbours. Some samples are looked at, evenly spread over a cloud, and of each cell
 //! some places. Cells at the border of a cloud have no end, and neighbourhoods that are no surface have no cells; both are left out.
 
 use glam::{DVec3, I64Vec3, Vec2, Vec3};
 
 use super::kernels::{CUTOFF, Cell, ROUGH, is_kernel, proportions, tangents};
+use super::neighbors::AROUND;
 use super::pack::{NO_NORMAL, PackedChunk, PackedSamples, octahedral_decode, unpack_kernel};
 use crate::assets::Kernel;
 
 /// Samples that are looked at, and the most chunks that they are taken from.
 const SAMPLES: usize = 1024;
 const CHUNKS: usize = 64;
-/// Neighbours that bound a cell.
-const NEAR: usize = 32;
+/// Neighbours that bound a cell: as many as kernels of open cells depend on.
+const NEAR: usize = AROUND;
+/// Corners of a square, and one for each neighbour.
+const CORNERS: usize = 5 + NEAR;
 /// Margin around a chunk within which neighbours are looked for, in diagonals of its box.
 const MARGIN: f64 = 0.25;
 /// Each side of a triangle of a cell is divided so often; places lie in the middle of the parts.
@@ -110,7 +113,7 @@ fn uncovered_of(disk: &Disk, all: &[Disk]) -> Option<(f64, f64)> {
     if proportions(&offsets, &flat, disk.normal)[0] > ROUGH {
         return None;
     }
-    let cell = Cell::of(&flat, 2.0 * farthest, 1e-8 * farthest * farthest);
+    let cell = Cell::<CORNERS>::of(&flat, 2.0 * farthest, 1e-8 * farthest * farthest);
     let extent = cell.extent();
     if extent.is_nan() || extent >= farthest {
         return None;

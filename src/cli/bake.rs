@@ -185,7 +185,7 @@ fn line(asset: &BakedAsset) -> String {
     format!(
         "{}: {}, {} nodes, {:.2} s{rate}, {}",
         asset.name,
-        super::render::contents(asset.samples, asset.triangles, 0),
+        super::render::contents([asset.samples, asset.triangles, 0], 0),
         nodes(asset),
         seconds(asset),
         origin(&asset.source)

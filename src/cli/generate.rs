@@ -8,20 +8,22 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::out;
 use crate::assets::Progress;
-use crate::generate::{Generated, Kind, Parameters, generate, generate_scene, write};
+use crate::generate::{Form, Generated, Kind, Parameters, generate, generate_scene, write};
 
 /// Deterministic procedural assets and scenes, for demos, tests and benches.
 ///
 /// Equal options give equal bytes on every machine.
 #[derive(Clone, Debug, clap::Args)]
 pub struct GenerateArgs {
+    /// Asset or scene to generate
     #[arg(value_enum)]
     pub kind: Kind,
-    /// File to write. Points: .ply, .las, .laz; meshes: .ply, .obj (with .mtl and .png); whole scenes
-    /// with their assets beside them: .json; many scenes: a folder
+    /// File to write. Points: .ply, .las, .laz; meshes: .ply, .obj (with .mtl and .png); lines: .vtk,
+    /// .tck (without radii and colours); trees of lines: .vtk, with two files beside it; whole scenes with
+    /// their assets beside them: .json; many scenes: a folder
     #[arg(short, long, alias = "output", value_name = "FILE")]
     pub out: PathBuf,
-    /// Seed of the random parts of towns, reliefs and trees
+    /// Seed of the random parts of towns, reliefs, trees, groves, neurons and tracts
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     /// Number of points, for point clouds; for a machined part, samples to aim at
@@ -30,9 +32,16 @@ pub struct GenerateArgs {
     /// Number of triangles to aim at, for meshes
     #[arg(long, value_name = "N")]
     pub triangles: Option<u64>,
-    /// Edge or height in scene units (metres); for a plaza, assemblies along each edge
+    /// Edge or height in scene units (metres; micrometres for neurons, millimetres for tracts); for a
+    /// plaza, assemblies along each edge; for a grove, the height of a tree
     #[arg(long, value_name = "LENGTH")]
     pub size: Option<f64>,
+    /// Number of neurons, of streamlines, or of the leaves of a tree (100,000 with --form)
+    #[arg(long, value_name = "N")]
+    pub count: Option<u64>,
+    /// How trees of many leaves are put out
+    #[arg(long, value_enum, value_name = "FORM")]
+    pub form: Option<Form>,
 }
 
 /// Generates an asset or scene and writes it, with a progress bar on a terminal.
@@ -55,6 +64,8 @@ pub fn run(args: GenerateArgs) -> anyhow::Result<()> {
         points: args.points,
         triangles: args.triangles,
         size: args.size,
+        count: args.count,
+        form: args.form,
     };
     let is_scene = args.out.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
     let generated = if is_scene {
@@ -83,6 +94,17 @@ fn describe(generated: &Generated) -> String {
             "{} triangles, {} vertices",
             mesh.mesh.triangles.len(),
             mesh.mesh.positions.len()
+        ),
+        Generated::Lines(lines) => format!(
+            "{} strands, {} vertices",
+            lines.strands.len().saturating_sub(1),
+            lines.positions.len()
+        ),
+        Generated::Plant(plant) => format!(
+            "{} leaves, {} branches, a trunk of {} triangles",
+            plant.leaves.strands.len().saturating_sub(1),
+            plant.branches.strands.len().saturating_sub(1),
+            plant.trunk.mesh.triangles.len()
         ),
         Generated::Scenes(scenes) => format!("{} scenes", scenes.len()),
         Generated::Scene(scene) => format!("a scene with {} assets", scene.assets.len()),

@@ -11,6 +11,7 @@ use super::render::contents;
 use crate::encode::ImageFormat;
 use crate::engine::{BakedAsset, FrameRequest, Pose, SceneInfo};
 use crate::plan::{FramePlan, Output, Settings, Wait};
+use crate::scene::fields::SceneField;
 
 /// Options of `pointillist inspect`.
 #[derive(Args, Clone, Debug)]
@@ -114,10 +115,31 @@ fn percent(share: f64) -> String {
 }
 
 fn text(told: &Inspection) -> String {
+    let (facts, assets) = (facts(told), assets(told));
+    let fields = match &told.scene.fields[..] {
+        [] => String::new(),
+        found => format!("{}\n\n", fields(found)),
+    };
+    let mut passes = table();
+    passes.set_header(["pass", "runs"]);
+    for planned in &told.plan.passes {
+        passes.add_row([
+            planned.pass.name().to_owned(),
+            planned.skipped.map_or("yes".to_owned(), |why| format!("no: {why}")),
+        ]);
+    }
+    let trees: String = told.trees.iter().flatten().map(tree_text).collect();
+    format!("{facts}\n\n{assets}\n\n{fields}{passes}\n{trees}")
+}
+
+fn facts(told: &Inspection) -> Table {
     let scene = &told.scene;
     let mut facts = table();
     facts.add_row(["scene", &scene.name]);
-    facts.add_row(["contents", &contents(scene.samples, scene.triangles, scene.instances)]);
+    facts.add_row([
+        "contents",
+        &contents([scene.samples, scene.triangles, scene.segments], scene.instances),
+    ]);
     if let Some([low, high]) = scene.bounds {
         facts.add_row(["bounds", &format!("{low:?} to {high:?}")]);
     }
@@ -142,17 +164,22 @@ fn text(told: &Inspection) -> String {
     for warning in &scene.warnings {
         facts.add_row(["warning", warning]);
     }
+    facts
+}
+
+fn assets(told: &Inspection) -> Table {
     let mut assets = table();
     assets.set_header([
         "asset",
         "format",
         "samples",
         "triangles",
+        "segments",
         "colours",
         "normals",
         "uncovered",
     ]);
-    for (asset, uncovered) in scene.assets.iter().zip(&told.uncovered) {
+    for (asset, uncovered) in told.scene.assets.iter().zip(&told.uncovered) {
         let normals = match (asset.has_normals, asset.normals_estimated) {
             (true, true) => "file, rest estimated",
             (true, false) => "file",
@@ -163,6 +190,7 @@ fn text(told: &Inspection) -> String {
             asset.format.to_owned(),
             asset.samples.to_string(),
             asset.triangles.to_string(),
+            asset.segments.to_string(),
             match (asset.has_colors, asset.shows_intensity) {
                 (true, true) => "file, rest from intensity",
                 (true, false) => "file",
@@ -174,28 +202,22 @@ fn text(told: &Inspection) -> String {
             uncovered.map_or("—".to_owned(), percent),
         ]);
     }
-    let mut fields = table();
-    fields.set_header(["field", "least", "most", "1st to 99th percentile"]);
-    for field in &scene.fields {
+    assets
+}
+
+fn fields(fields: &[SceneField]) -> Table {
+    let mut table = table();
+    table.set_header(["field", "least", "most", "1st to 99th percentile"]);
+    for field in fields {
         let [low, high] = field.shown;
-        fields.add_row([
+        table.add_row([
             field.name.clone(),
             field.least.to_string(),
             field.most.to_string(),
             format!("{low} to {high}"),
         ]);
     }
-    let fields = if scene.fields.is_empty() { String::new() } else { format!("{fields}\n\n") };
-    let mut passes = table();
-    passes.set_header(["pass", "runs"]);
-    for planned in &told.plan.passes {
-        passes.add_row([
-            planned.pass.name().to_owned(),
-            planned.skipped.map_or("yes".to_owned(), |why| format!("no: {why}")),
-        ]);
-    }
-    let trees: String = told.trees.iter().flatten().map(tree_text).collect();
-    format!("{facts}\n\n{assets}\n\n{fields}{passes}\n{trees}")
+    table
 }
 
 /// The figures of an asset's point trees.

@@ -16,7 +16,7 @@ use crate::scene::Up;
 /// The scene, the folder of its files, and the cache of its point trees.
 #[derive(clap::Args, Clone, Debug)]
 pub struct SceneFile {
-    /// Scene file (.json), or one file of points or triangles
+    /// Scene file (.json), or one file of points, lines or triangles
     #[arg(value_name = "SCENE_OR_ASSET")]
     pub scene: PathBuf,
     /// Folder that the scene's files must lie in [default: the scene's own]

@@ -28,7 +28,7 @@ const EXIT_STATUS: &str = "Exit status:
   3  a threshold of `load` is broken
 130  `load` was interrupted twice";
 
-/// A headless render server for scenes of points and triangles.
+/// A headless render server for scenes of points, lines and triangles.
 #[derive(Parser)]
 #[command(name = "pointillist", version, about, after_help = EXIT_STATUS, after_long_help = EXIT_STATUS)]
 pub struct Cli {

@@ -92,19 +92,20 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     say!(
         "{}: {}, loaded in {:.2} s; {}",
         if args.is_to_stdout() { "standard output".into() } else { args.file.to_string_lossy() },
-        contents(info.samples, info.triangles, info.instances),
+        contents([info.samples, info.triangles, info.segments], info.instances),
         loaded.as_secs_f64(),
         summary(&median.receipt)
     );
     Ok(())
 }
 
-/// The numbers of samples, triangles and instances, in words.
-pub(super) fn contents(samples: u64, triangles: u64, instances: u64) -> String {
+/// The numbers of samples, triangles, segments and instances, in words.
+pub(super) fn contents([samples, triangles, segments]: [u64; 3], instances: u64) -> String {
     let mut parts = Vec::new();
     for (count, one, many) in [
         (samples, "sample", "samples"),
         (triangles, "triangle", "triangles"),
+        (segments, "segment", "segments"),
         (instances, "instance", "instances"),
     ] {
         if count > 0 {
@@ -195,7 +196,7 @@ mod tests {
 
     #[test]
     fn contents_in_words() {
-        assert_eq!(contents(1, 0, 2), "1 sample, 2 instances");
-        assert_eq!(contents(0, 0, 0), "nothing to draw");
+        assert_eq!(contents([1, 0, 7], 2), "1 sample, 7 segments, 2 instances");
+        assert_eq!(contents([0; 3], 0), "nothing to draw");
     }
 }

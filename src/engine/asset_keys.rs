@@ -76,7 +76,8 @@ fn file_key(
     source: &FileSource,
     admission: &Admission,
 ) -> Result<AssetKey, EngineError> {
-    let file = &source.path;
+    // All of it: what is left out of the key is drawn as another scene has asked for it.
+    let FileSource { path: file, sample, features, line_radius } = source;
     let display = file
         .file_name()
         .map_or_else(|| name.to_owned(), |name| name.to_string_lossy().into_owned());
@@ -84,8 +85,8 @@ fn file_key(
     let content = digest_file(file, &display, admission).map_err(asset_error)?;
     // The file's name affects how the bytes are read, and the scene affects what is made of them.
     let mut hasher = Sha256::new().chain_update(content).chain_update(file_kind(file));
-    if source.sample.is_some() || source.features {
-        hasher.update(format!("\0{:?} {}", source.sample, source.features));
+    if sample.is_some() || *features || line_radius.is_some() {
+        hasher.update(format!("\0{sample:?} {features} {line_radius:?}"));
     }
     Ok(AssetKey { digest: hasher.finalize().into(), alone: stands_alone(file, &options) })
 }

@@ -154,6 +154,8 @@ fn figures(
                 told.triangles_beside += mesh.triangles.len() as u64;
                 told.triangle_bytes += geometry.gpu_bytes();
             }
+            // Lines are kept as they are.
+            PackedGeometry::Lines(_) => {}
         }
     }
     told

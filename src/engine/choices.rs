@@ -7,7 +7,7 @@ use crate::bake::pack::GeometryKind;
 use crate::math::View;
 use crate::plan::auto::{self, Choice};
 use crate::plan::detail::{Detail, DetailGrounds, choose as choose_detail};
-use crate::plan::{Lod, Reconstruct, Settings};
+use crate::plan::{Lod, Settings};
 
 /// Decides how a frame with `lod=spt` is drawn. Returns the request as it is drawn, and why at full detail where the request does not ask
 /// for that.
@@ -20,25 +20,26 @@ pub fn with_detail(
     let mut drawn = request.clone();
     let settings = &request.settings;
     // Levels are those of nodes.
-    let is_open = settings.lod == Lod::Spt && !settings.shows_levels();
+    let is_open = settings.draws_trees() && !settings.shows_levels();
     if !is_open || !state.config.may_draw_in_full {
         return (drawn, None);
     }
     let counts = loaded.facts.counts;
     let drawn_as = |lod, has_samples| {
         let settings = Settings { lod, ..*settings };
-        if settings.reconstruct != Reconstruct::Auto {
+        if !settings.leaves_drawing_open() {
             return settings;
         }
         let at = FrameRequest { settings, ..request.clone() };
-        let reconstruct = choose_for(loaded, &at, has_samples, view).reconstruct;
-        Settings { reconstruct, ..settings }
+        let chosen = choose_for(loaded, &at, has_samples, view);
+        settings.decided(chosen.reconstruct)
     };
     let choice = choose_detail(&DetailGrounds {
         samples: loaded.patches(GeometryKind::Samples),
         triangles: loaded.patches(GeometryKind::Triangles),
+        segments: loaded.patches(GeometryKind::Lines),
         view,
-        elements: counts.samples + counts.triangles,
+        elements: counts.elements(),
         instances: counts.instances,
         full: &drawn_as(Lod::Full, counts.samples > 0),
         // Trees of meshes have samples as well.
@@ -50,7 +51,7 @@ pub fn with_detail(
             (drawn, Some(because))
         }
         Detail::Tree { error } => {
-            drawn.settings.max_error_px = error;
+            drawn.settings = settings.accepting(error);
             (drawn, None)
         }
     }
@@ -80,11 +81,14 @@ pub fn grounds(
     view: &View,
 ) -> auto::Grounds {
     let settings = &request.settings;
-    let spacing_px = auto::spacing_px(loaded.patches(GeometryKind::Samples), view);
+    let patches = loaded.patches(GeometryKind::Samples);
+    let spacing_px = auto::spacing_px(patches, view);
     auto::Grounds {
         lod: settings.lod,
         has_samples,
         spacing_px: spacing_px.map(|px| px * magnification(request)),
+        covered: auto::covered_share(patches, view),
+        are_splats_plain: !settings.has_splat_choices() && !loaded.has_clip_lines(),
         accepted_px: settings.decisive_error().px(),
         has_kernels: true,
         has_point_size: settings.has_point_size(),

@@ -20,7 +20,7 @@ use super::watch::{Abandoned, Watch};
 use super::{EngineConfig, EngineError, EstimateState, Estimates};
 use crate::assets::AssetError;
 use crate::memory::{Admission, Interrupt};
-use crate::plan::{Lod, Output, Reconstruct};
+use crate::plan::{Output, Settings};
 use crate::residency::model::AssetModel;
 
 impl Loaded {
@@ -124,13 +124,13 @@ impl Loaded {
     }
 
     /// Whether a frame needs normals or kernels that are not there.
-    pub fn lacks(&self, reconstruct: Reconstruct, lod: Lod, output: Output) -> bool {
+    pub fn lacks(&self, settings: &Settings, output: Output) -> bool {
         if self.is_whole() {
             return false;
         }
         let lit = output == Output::Color && self.facts.lights > 0;
-        lod == Lod::Spt
-            || reconstruct != Reconstruct::Points
+        settings.draws_trees()
+            || !settings.draws_points()
             || (self.lacks_normals() && (output == Output::Normal || lit))
     }
 }

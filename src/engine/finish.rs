@@ -7,7 +7,8 @@ use std::time::Instant;
 use super::framing;
 use super::landing::Drawn;
 use super::receipt::{
-    InstanceCounts, Legend, PassReceipt, Receipt, SampleCounts, SplatCounts, TriangleCounts,
+    InstanceCounts, Legend, PassReceipt, Receipt, SampleCounts, SegmentCounts, SplatCounts,
+    TriangleCounts,
 };
 use super::state::EngineState;
 use super::trace::FrameSpans;
@@ -129,10 +130,16 @@ fn receipt(state: &EngineState, drawn: &Drawn) -> Receipt {
             rasterised: runs(Pass::ProjectTriangles)
                 .then_some(u64::from(drawn.stats.triangles_rasterised)),
         },
+        segments: SegmentCounts {
+            stored: counts.segments,
+            tested: runs(Pass::ProjectLines).then(|| wide(drawn.stats.segments_tested)),
+            listed: runs(Pass::ProjectLines).then_some(u64::from(drawn.stats.segments_listed)),
+        },
         instances: InstanceCounts {
             stored: counts.instances,
             drawn: Some(u64::from(drawn.stats.instances_drawn)),
         },
+        holes_filled: runs(Pass::ResolvePulled).then_some(u64::from(drawn.stats.pixels_filled)),
         gpu_bytes: drawn.gpu_bytes,
         ..Receipt::default()
     }

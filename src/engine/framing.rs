@@ -203,7 +203,7 @@ fn elevation(flatness: f64) -> f64 {
 /// Explains why a view shows nothing of a box, and how to see it.
 pub fn why_nothing(bounds: &Bounds, view: &View, is_clipped: bool) -> String {
     if bounds.is_empty() {
-        return "the scene has nothing to draw: no node with points or triangles is visible"
+        return "the scene has nothing to draw: no node with points, lines or triangles is visible"
             .to_owned();
     }
     let corners = bounds.corners().map(|corner| view.to_view(corner));

@@ -44,6 +44,8 @@ pub struct SceneInfo {
     pub bounds: Option<[[f64; 3]; 2]>,
     pub samples: u64,
     pub triangles: u64,
+    /// Segments of lines.
+    pub segments: u64,
     pub instances: u64,
     pub assets: Vec<AssetInfo>,
     /// Scalar fields of its points, which frames can show and picks return.
@@ -71,6 +73,7 @@ pub struct AssetInfo {
     pub format: &'static str,
     pub samples: u64,
     pub triangles: u64,
+    pub segments: u64,
     pub has_colors: bool,
     /// Colours were not in the file and show the intensity.
     pub shows_intensity: bool,

@@ -19,7 +19,7 @@ use crate::bake::CUTOFF;
 use crate::bake::assemble::{Assembler, Prepared};
 use crate::bake::estimate::{EstimateError, lacks_normals, pack_estimated};
 use crate::bake::pack::{
-    PackedAsset, PackedGeometry, pack_mesh, pack_samples, pack_texture, packing_bytes,
+    PackedAsset, PackedGeometry, pack_lines, pack_mesh, pack_samples, pack_texture, packing_bytes,
 };
 use crate::bake::prepare::{self, AssetTraits, Outlook};
 use crate::math::Bounds;
@@ -278,6 +278,7 @@ fn pack_asset(
         let taken = std::mem::replace(geometry, Geometry::Points(PointCloud::default()));
         let packed = match (taken, completeness) {
             (Geometry::Mesh(mesh), _) => pack_mesh(&mesh).map(PackedGeometry::Triangles),
+            (Geometry::Lines(lines), _) => pack_lines(&lines).map(PackedGeometry::Lines),
             (Geometry::Points(cloud), Completeness::Whole(watch)) if lacking.contains(&number) => {
                 let part = cloud.positions.len() as f64 / total;
                 let watch = watch.part(estimated, part);

@@ -18,7 +18,7 @@ use super::{
     SceneInfo,
 };
 use crate::assets::Placement;
-use crate::bake::pack::{Counts, GeometryKind};
+use crate::bake::pack::{Counts, GeometryKind, PackedGeometry};
 use crate::bake::prepare;
 use crate::bake::spacing::Patch;
 use crate::bake::tree::Above;
@@ -225,19 +225,21 @@ fn describe(
         bounds: (!bounds.is_empty()).then(|| [bounds.min.into(), bounds.max.into()]),
         samples: counts.samples,
         triangles: counts.triangles,
+        segments: counts.segments,
         instances: counts.instances,
         assets: model
             .assets
             .iter()
             .zip(&description.assets)
             .map(|(asset, reference)| {
-                let Counts { samples, triangles, .. } = asset.counts();
+                let Counts { samples, triangles, segments, .. } = asset.counts();
                 AssetInfo {
                     // Another scene may have read the same file under another name.
                     name: reference.name.clone(),
                     format: asset.format,
                     samples,
                     triangles,
+                    segments,
                     has_colors: asset.has_colors,
                     shows_intensity: asset.shows_intensity,
                     has_normals: asset.has_normals,
@@ -327,7 +329,7 @@ impl Loaded {
             parameter: "path",
             reason: format!("the scene has no path `{name}`"),
             accepted: if self.info.paths.is_empty() {
-                "a path of one's own: this scene names none".to_owned()
+                "a path in JSON, since this scene names none".to_owned()
             } else {
                 self.info.paths.join(", ")
             },
@@ -355,6 +357,12 @@ impl Loaded {
     /// Returns the positions and spacing of its elements of one kind in patches, measured on first use.
     pub fn patches(&self, kind: GeometryKind) -> &[Patch] {
         self.patches[kind as usize].get_or_init(|| spacing::patches(&self.model, kind))
+    }
+
+    /// Whether some sample ends at a clip line.
+    pub fn has_clip_lines(&self) -> bool {
+        let geometries = self.model.assets.iter().flat_map(|asset| &asset.packed.geometries);
+        geometries.filter_map(PackedGeometry::samples).any(|samples| !samples.clips.is_empty())
     }
 
     /// Returns the up direction.

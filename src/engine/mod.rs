@@ -236,9 +236,9 @@ impl Engine {
             state.write_apart(move || cloud.write());
         }
         state.scenes_changed();
-        let (samples, triangles) = (info.samples, info.triangles);
+        let (samples, triangles, segments) = (info.samples, info.triangles, info.segments);
         let elapsed_ms = began.elapsed().as_millis() as u64;
-        tracing::info!(id, samples, triangles, elapsed_ms, "scene loaded");
+        tracing::info!(id, samples, triangles, segments, elapsed_ms, "scene loaded");
         Ok(info)
     }
 

@@ -3,7 +3,7 @@
 //! A pick draws the frame with `output=id`. Instead of the image, it reads three words for each pixel: the id of the instance, the chunk,
 //! and the element in the chunk. The pass `identify` writes the chunk and the element, so a pick names exactly what the frame shows.
 //! Positions are computed in f64 from the host's copy of the element: a sample's own position, or the point where the pixel's ray meets the
-//! triangle.
+//! triangle or the line.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::ops::Range;
@@ -17,9 +17,12 @@ use utoipa::ToSchema;
 use super::loaded::{Loaded, node_name};
 use super::resolved::ResolvedFrame;
 use super::{EncodedFrame, Engine, EngineError, FrameRequest, FrameTicket, Origin};
-use crate::bake::pack::{PackedGeometry, PackedMesh, PackedSamples, octahedral_decode};
+use crate::bake::pack::{
+    NO_NORMAL, PackedChunk, PackedGeometry, PackedLines, PackedMesh, PackedSamples,
+    octahedral_decode,
+};
 use crate::encode::{FrameImage, ImageFormat};
-use crate::math::View;
+use crate::math::{Tube, View};
 use crate::plan::Output;
 use crate::residency::model::{AssetModel, ModelInstance, SceneModel};
 use crate::scene::InstancePaths;
@@ -48,7 +51,7 @@ pub struct Pick {
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct Hit {
     pub kind: HitKind,
-    /// World position: a sample's own position, or the point of the triangle behind the pixel's centre.
+    /// World position: a sample's own position, or the point of the triangle or line behind the pixel's centre.
     pub position: [f64; 3],
     /// Distance between the positions that the element can be stored at, in scene units: digits below it mean nothing.
     pub resolution: f64,
@@ -61,13 +64,16 @@ pub struct Hit {
     /// Values of the scalar fields of a sample. A node of a point tree has the mean of the samples that it stands for, and the class of
     /// most of them.
     pub fields: BTreeMap<String, f64>,
-    /// sRGB colour of the element without lights: a sample's own; a triangle's vertex colours, material and nearest texel.
+    /// sRGB colour without lights. A sample has its own colour, a segment the colour between its vertices, a triangle the product of
+    /// vertex colour, material and nearest texel.
     pub color: [u8; 3],
     /// `null` for a node of a point tree that stands for several instances.
     pub instance: Option<PickedInstance>,
     /// Index of the geometry in its asset.
     pub geometry: u32,
-    /// Chunk of the geometry, and index of the sample or triangle in the geometry, in the order of drawing.
+    /// Where along its strand a line is hit; `null` for other elements.
+    pub strand: Option<PickedStrand>,
+    /// Chunk of the geometry, and index of the sample, triangle or segment in the geometry, in the order of drawing.
     pub chunk: u32,
     pub element: u32,
 }
@@ -80,6 +86,19 @@ pub enum HitKind {
     /// A node of a point tree, which stands for one sample or for many.
     Node,
     Triangle,
+    /// A segment of a line.
+    Segment,
+}
+
+/// A place along a strand of a file of lines.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
+pub struct PickedStrand {
+    /// Number of the strand in its file, from 0.
+    pub index: u32,
+    /// Number of the vertex before the place, in the strand.
+    pub vertex: u32,
+    /// Share of the way from there to the next vertex, 0 to 1.
+    pub share: f64,
 }
 
 /// An instance, by its id and by the nodes above it.
@@ -251,6 +270,13 @@ impl Picker {
                 let ray = (view.eye + world_from_view * origin, way);
                 triangle((asset, mesh), (chunk as usize, index), &world, ray, tint)?
             }
+            PackedGeometry::Lines(lines) => {
+                let (view, ray) = (&self.view, self.view.ray(pixel));
+                let world_from_view = view.view_from_world.transpose();
+                let way = world_from_view * view.towards(ray);
+                let origin = view.eye + world_from_view * view.at_depth(ray, 0.0);
+                segment(lines, (record, index), &world, (origin, way), tint)?
+            }
         };
         let position = world.transform_point3(element.local);
         let from_eye = self.view.to_view(position);
@@ -266,6 +292,7 @@ impl Picker {
             depth: -from_eye.z,
             normal: normal.map(Into::into),
             fields: element.fields,
+            strand: element.strand,
             color: srgb(element.color),
             instance: instance.map(|_| self.instance(id, paths)),
             geometry: geometry as u32,
@@ -309,6 +336,7 @@ struct Element {
     color: DVec3,
     /// Values of scalar fields.
     fields: BTreeMap<String, f64>,
+    strand: Option<PickedStrand>,
 }
 
 /// The colour that an instance's material has in place of the asset's.
@@ -329,6 +357,7 @@ fn sample(samples: &PackedSamples, index: usize, cell: IVec3, tint: Tint) -> Opt
                 Some((field.name().to_owned(), value))
             })
             .collect(),
+        strand: None,
     })
 }
 
@@ -373,6 +402,46 @@ fn triangle(
         normal: if smooth == DVec3::ZERO { flat } else { smooth },
         color,
         fields: BTreeMap::new(),
+        strand: None,
+    })
+}
+
+/// The point of a segment where a ray from the eye meets it. Thin lines are drawn wider than they are: the nearest point of the axis stands for
+/// what the ray misses.
+fn segment(
+    lines: &PackedLines,
+    (record, index): (&PackedChunk, usize),
+    world: &DAffine3,
+    (origin, way): (DVec3, DVec3),
+    tint: Tint,
+) -> Option<Element> {
+    let ends = lines.ends(record, index)?;
+    let axes = world.matrix3;
+    let stretch = axes.x_axis.length().max(axes.y_axis.length()).max(axes.z_axis.length());
+    let tube = Tube {
+        ends: ends.map(|end| world.transform_point3(end.position)),
+        radii: ends.map(|end| end.radius * stretch),
+    };
+    let is_ribbon = ends.iter().any(|end| end.normal != NO_NORMAL);
+    let entry =
+        if is_ribbon { None } else { tube.enter(origin, way).filter(|found| found.at > 0.0) };
+    let share = entry.map_or_else(|| tube.nearest_share(origin, way), |entry| entry.share);
+    let on_axis = ends[0].position.lerp(ends[1].position, share);
+    let back = world.inverse();
+    let local = match entry {
+        Some(entry) if back.is_finite() => back.transform_point3(origin + way * entry.at),
+        _ => on_axis,
+    };
+    let normals = ends.map(|end| octahedral_decode(end.normal).as_dvec3());
+    let colors = ends.map(|end| linear(end.color));
+    let (index, vertex) = lines.strand_of(index)?;
+    Some(Element {
+        kind: HitKind::Segment,
+        local,
+        normal: if is_ribbon { normals[0].lerp(normals[1], share) } else { local - on_axis },
+        color: colors[0].lerp(colors[1], share) * base(tint.unwrap_or([1.0; 4])),
+        fields: BTreeMap::new(),
+        strand: Some(PickedStrand { index, vertex, share }),
     })
 }
 

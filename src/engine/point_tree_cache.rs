@@ -137,7 +137,14 @@ fn fits(asset: &AssetModel, found: &[PackedGeometry]) -> Result<(), &'static str
     let is_tree = |geometry: &PackedGeometry| {
         geometry.samples().is_some_and(|samples| samples.nodes.len() == samples.positions.len())
     };
-    if !trees.iter().all(is_tree) {
+    let fits = |(geometry, own): (&PackedGeometry, &PackedGeometry)| match own.kind() {
+        // Full detail is the last level.
+        GeometryKind::Lines => {
+            geometry.kind() == GeometryKind::Lines && geometry.len() >= own.len()
+        }
+        GeometryKind::Samples | GeometryKind::Triangles => is_tree(geometry),
+    };
+    if !trees.iter().zip(own).all(fits) {
         return Err("some samples are no nodes");
     }
     for (geometry, &index) in triangles.iter().zip(&meshes) {

@@ -14,9 +14,10 @@ use super::watch::{Abandoned, Watch};
 use crate::assets::{MeshPart, Texture};
 use crate::bake::cache::BakeCache;
 use crate::bake::hybrid::{hybrid_mesh, is_watertight};
+use crate::bake::line_levels::line_levels;
 use crate::bake::pack::{
-    GeometryKind, PackError, PackedAsset, PackedGeometry, PackedMesh, PackedSamples, pack_hybrid,
-    unpack_mesh, unpack_samples, unpack_texture,
+    ALWAYS, GeometryKind, PackError, PackedAsset, PackedGeometry, PackedMesh, PackedSamples,
+    pack_hybrid, unpack_mesh, unpack_samples, unpack_texture,
 };
 use crate::bake::tree::{build_tree, build_tree_within};
 use crate::math::Bounds;
@@ -123,7 +124,7 @@ fn bake_watched(
     Ok((tree, source))
 }
 
-/// For each geometry its tree, and behind them the triangles of each mesh.
+/// For each geometry its tree, or the levels of its lines, and behind them the triangles of each mesh.
 fn build(asset: &AssetModel, watch: &Watch<'_>) -> Result<Vec<PackedGeometry>, Halt> {
     let count = asset.packed.geometries.len();
     let mut geometries = Vec::with_capacity(count);
@@ -141,6 +142,7 @@ fn build(asset: &AssetModel, watch: &Watch<'_>) -> Result<Vec<PackedGeometry>, H
                 meshes.push(PackedGeometry::Triangles(triangles));
                 PackedGeometry::Samples(tree)
             }
+            PackedGeometry::Lines(lines) => PackedGeometry::Lines(line_levels(lines)?),
         });
     }
     watch.check()?;
@@ -277,8 +279,6 @@ impl Loaded {
     }
 }
 
-/// No error that is accepted is larger.
-const ALWAYS: f32 = 1e30;
 /// Samples of one mesh at most.
 const MAX_SAMPLES: u64 = 1 << 28;
 

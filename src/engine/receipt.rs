@@ -54,11 +54,15 @@ pub struct Receipt {
     pub splats: SplatCounts,
     /// Triangles that reached the visibility passes, `null` when none were tested.
     pub triangles: TriangleCounts,
+    /// Segments of lines that reached the visibility passes, `null` when none were tested.
+    pub segments: SegmentCounts,
     pub instances: InstanceCounts,
     /// Bytes this scene holds on the GPU.
     pub gpu_bytes: u64,
     /// Nearest and farthest distance in a 16-bit depth image, in scene units: what its values 65535 and 1 stand for.
     pub depth_range: Option<[f32; 2]>,
+    /// Pixels that pull-push has filled; `null` where samples are drawn otherwise.
+    pub holes_filled: Option<u64>,
     /// Size of the encoded image.
     pub bytes: u64,
     /// True when an identical request already in flight supplied the frame.
@@ -72,7 +76,10 @@ impl Receipt {
             return Some(format!("nothing is visible: {why}"));
         }
         let pixels = u64::from(self.camera.width) * u64::from(self.camera.height);
-        let drawn = self.samples.drawn.filter(|_| self.triangles.stored == 0)?;
+        let drawn = self
+            .samples
+            .drawn
+            .filter(|_| self.triangles.stored == 0 && self.segments.stored == 0)?;
         let is_little = drawn < FEW_PIXELS && drawn * FEW_PIXELS * FEW_PIXELS < pixels;
         is_little.then(|| {
             let pixels =
@@ -200,11 +207,11 @@ pub struct SampleCounts {
 
 #[derive(Clone, Copy, Debug, Default, Serialize, ToSchema)]
 pub struct SplatCounts {
-    /// Those among the following that reach the camera plane, and so are cut there.
+    /// Splats that reach the camera plane, and so are cut there. The other two numbers count them as well.
     pub clipped: Option<u64>,
-    /// Left to walk_splats and blend_walked for their size or because they reach the camera plane.
+    /// Splats drawn by `walk_splats` and `blend_walked`: large ones, and those that reach the camera plane.
     pub rasterised: Option<u64>,
-    /// Drawn by a thread each.
+    /// Splats drawn by one thread each.
     pub scattered: Option<u64>,
 }
 
@@ -213,8 +220,17 @@ pub struct TriangleCounts {
     pub stored: u64,
     /// In parts of chunks that met the frustum and were not hidden by what is nearer.
     pub tested: Option<u64>,
-    /// Left to rasterise_triangles or walk_triangles for their size or because they meet the camera plane.
+    /// Triangles drawn by `rasterise_triangles` or `walk_triangles`: large ones, and those that meet the camera plane.
     pub rasterised: Option<u64>,
+}
+
+#[derive(Clone, Copy, Debug, Default, Serialize, ToSchema)]
+pub struct SegmentCounts {
+    pub stored: u64,
+    /// In parts of chunks that met the frustum and were not hidden by what is nearer.
+    pub tested: Option<u64>,
+    /// Segments drawn by `walk_lines`: large ones, and those that meet the camera plane.
+    pub listed: Option<u64>,
 }
 
 #[derive(Clone, Copy, Debug, Default, Serialize, ToSchema)]

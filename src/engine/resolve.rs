@@ -16,10 +16,10 @@ use super::viewpoint::{clip_region, pose};
 use super::{EngineError, FrameRequest};
 use crate::encode::{self, EncodeError};
 use crate::math::View;
-use crate::passes::{LAYERS_BYTES, Slabs};
+use crate::passes::{LAYERS_BYTES, Levels, PATCH_BYTES, Slabs};
 use crate::plan::auto::{self, Choice};
 use crate::plan::{
-    AdapterFacts, ColorBy, Edl, FrameFacts, Lod, Output, Reconstruct, Reconstruction, SceneFacts,
+    AdapterFacts, ColorBy, Edl, FrameFacts, Output, Reconstruct, Reconstruction, SceneFacts,
     Settings, Wait, plan,
 };
 use crate::residency::model::SceneModel;
@@ -217,7 +217,7 @@ pub fn resolve_in(
     let checked = check(state, &loaded, &request)?;
     let (drawn, full_because) = with_detail(state, &loaded, &request, &checked.view);
     let baked = match goal_of(&loaded, &drawn) {
-        None if drawn.settings.lod == Lod::Full => Ok((loaded.model.clone(), loaded.facts)),
+        None if !drawn.settings.draws_trees() => Ok((loaded.model.clone(), loaded.facts)),
         None => {
             loaded.trees().transpose()?.map(|trees| (trees.model, trees.facts)).ok_or(Goal::Trees)
         }
@@ -251,12 +251,12 @@ fn choose_reconstruction(
     facts: &SceneFacts,
     view: &View,
 ) -> Chosen {
-    let is_open = request.settings.reconstruct == Reconstruct::Auto;
+    let is_open = request.settings.leaves_drawing_open();
     let grounds = is_open.then(|| grounds(loaded, request, facts.counts.samples > 0, view));
     let mut auto = grounds.as_ref().map(auto::choose);
     let mut provisional = None;
     if let (Some(choice), Some(grounds)) = (&mut auto, &grounds)
-        && loaded.lacks(choice.reconstruct, request.settings.lod, needed_output(request))
+        && loaded.lacks(&request.settings.decided(choice.reconstruct), needed_output(request))
     {
         provisional = Some(match state.estimate_in_background(loaded) {
             Ok(done) => {
@@ -266,12 +266,10 @@ fn choose_reconstruction(
         });
         *choice = auto::choose(&auto::Grounds { has_kernels: false, ..*grounds });
     }
-    let settings = Settings {
-        reconstruct: auto.map_or(request.settings.reconstruct, |choice| choice.reconstruct),
-        projection: Some(view.projection),
-        ..request.settings
-    }
-    .with_edl_decided(facts, request.output);
+    let asked = request.settings;
+    let decided = auto.map_or(asked, |choice| asked.decided(choice.reconstruct));
+    let settings = Settings { projection: Some(view.projection), ..decided }
+        .with_edl_decided(facts, request.output);
     let settings = match (&provisional, &grounds) {
         // Until there are kernels, discs close what splats will.
         (Some(_), Some(grounds)) => {
@@ -315,8 +313,11 @@ fn decide(
             },
         )
     };
-    let other = settings.in_three_passes();
     let reconstruction = Reconstruction::new(&settings, &loaded.model.splats);
+    let other = match reconstruction.pull_push() {
+        Some(_) => settings.as_splats(),
+        None => settings.in_three_passes(),
+    };
     let fuzzy = reconstruction.fuzzy().filter(|_| facts.counts.samples > 0);
     let fits = |splats| {
         let accepted_px = if facts.trees { settings.accepted_px() } else { 0.0 };
@@ -326,6 +327,8 @@ fn decide(
         let too_deep = "the scene is too deep for the slabs of a single pass";
         no_fuzzy(&request, &adapter).or_else(|| (!fits(splats)).then_some(too_deep))
     });
+    let pulled = reconstruction.pull_push().filter(|_| facts.counts.samples > 0);
+    let refused = refused.or_else(|| pulled.and_then(|_| no_pyramid(&request, &adapter)));
     let drawing = match refused {
         Some(_) => way(&other, refused),
         None => way(&settings, None),
@@ -380,29 +383,28 @@ pub fn goal(state: &EngineState, loaded: &Loaded, request: &FrameRequest) -> Opt
 
 /// Resolves a request whose level of detail is decided.
 fn goal_of(loaded: &Loaded, request: &FrameRequest) -> Option<Goal> {
-    let Settings { lod, reconstruct, wait, .. } = request.settings;
-    let output = needed_output(request);
-    if lod == Lod::Spt {
+    let (settings, output) = (&request.settings, needed_output(request));
+    if settings.draws_trees() {
         return loaded.trees().is_none().then_some(Goal::Trees);
     }
     if loaded.is_whole() {
         return None;
     }
-    let lacks = match (reconstruct, wait) {
+    let lacks = match (settings.leaves_drawing_open(), settings.wait) {
         (_, Wait::Whole) => true,
         // A picture of normals needs them however samples are drawn.
-        (Reconstruct::Auto, Wait::Ready) => {
-            loaded.lacks(Reconstruct::Points, lod, output) && output == Output::Normal
+        (true, Wait::Ready) => {
+            output == Output::Normal && loaded.lacks(&settings.decided(Reconstruct::Points), output)
         }
-        (Reconstruct::Auto, Wait::Complete) => match posed(loaded, request) {
+        (true, Wait::Complete) => match posed(loaded, request) {
             Ok(Checked { view, .. }) => {
                 let wanted = choose_for(loaded, request, loaded.facts.counts.samples > 0, &view);
-                loaded.lacks(wanted.reconstruct, lod, output)
+                loaded.lacks(&settings.decided(wanted.reconstruct), output)
             }
             // The frame is refused.
             Err(_) => false,
         },
-        _ => loaded.lacks(reconstruct, lod, output),
+        (false, _) => loaded.lacks(settings, output),
     };
     lacks.then_some(Goal::Estimates)
 }
@@ -432,6 +434,13 @@ fn no_fuzzy(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str> {
     }
     (pixels * LAYERS_BYTES > adapter.max_binding_bytes)
         .then_some("the adapter cannot bind what a single pass needs for so many pixels")
+}
+
+/// Why pull-push cannot draw a frame.
+fn no_pyramid(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str> {
+    let bytes = Levels::of((request.width, request.height)).pixels() * PATCH_BYTES;
+    (bytes > adapter.max_binding_bytes)
+        .then_some("the adapter cannot bind the pyramid of so many pixels; a smaller frame has one")
 }
 
 /// Inputs of an entity tag besides the scene, the request and the view.

@@ -15,7 +15,7 @@ use super::queue::cost::CostKey;
 use super::receipt::CameraReceipt;
 use crate::math::View;
 use crate::plan::auto::Choice;
-use crate::plan::{Background, FramePlan, Reconstruct, Reconstruction, Settings};
+use crate::plan::{Background, FramePlan, Reconstruction, Settings};
 use crate::residency::model::{Extent, SceneModel};
 use crate::scene::Splats;
 use crate::scene::clipping::ClipRegion;
@@ -79,9 +79,9 @@ impl ResolvedFrame {
         &self.adapter
     }
 
-    /// Returns how samples are drawn, which a request may leave open.
-    pub fn reconstruct(&self) -> Reconstruct {
-        self.drawing.settings.reconstruct
+    /// Returns the settings of the frame, with nothing left open.
+    pub fn settings(&self) -> &Settings {
+        &self.drawing.settings
     }
 
     pub fn plan(&self) -> &FramePlan {
@@ -118,65 +118,4 @@ impl Drawing {
 }
 
 #[cfg(test)]
-mod tests {
-    use glam::{DAffine3, DVec3};
-
-    use super::*;
-    use crate::bake::pack::Counts;
-    use crate::plan::{self, AdapterFacts, FrameFacts, Given, SceneFacts, SettingKind};
-
-    fn drawing(settings: &Settings) -> Drawing {
-        let counts = Counts { samples: 1, chunks: 1, ..Counts::default() };
-        let facts = SceneFacts { counts, trees: true, ..Default::default() };
-        let adapter = AdapterFacts::default();
-        let recolor = settings.recolor(DVec3::Y, || [0.0, 1.0], &[]);
-        let box_from_world = DAffine3::IDENTITY;
-        let clip = settings.clip_boxes.map(|boxes| ClipRegion { boxes, box_from_world });
-        Drawing::new(settings, &Splats::default(), recolor, clip, None, |reconstruction| {
-            let frame = FrameFacts { reconstruction, ..FrameFacts::default() };
-            plan::plan(&facts, &frame, &adapter)
-        })
-    }
-
-    /// A task takes its settings from the first job of a group, whose members have equal drawings.
-    #[test]
-    fn drawings_of_different_settings_differ() {
-        for setting in plan::declared() {
-            let values: Vec<String> = match &setting.kind {
-                SettingKind::Choice { choices, .. } => {
-                    choices.iter().map(|choice| choice.value.clone()).collect()
-                }
-                SettingKind::Flag => vec!["true".to_owned(), "false".to_owned()],
-                SettingKind::Text { examples, .. } => {
-                    examples.iter().map(ToString::to_string).collect()
-                }
-                SettingKind::Number { least, most, .. } => {
-                    vec![least.to_string(), most.to_string()]
-                }
-            };
-            let mut needed = Given::default();
-            for rule in &setting.needs {
-                let value = rule.is.first().copied().unwrap_or("0,0,0,1,1,1");
-                needed.set_text(rule.of, value).unwrap();
-            }
-            let drawings = values.iter().map(|value| {
-                let mut given = needed;
-                given.set_text(setting.name, value).unwrap();
-                drawing(&given.resolve().unwrap())
-            });
-            let drawings: Vec<Drawing> = drawings.collect();
-            for (index, one) in drawings.iter().enumerate() {
-                assert!(!drawings[..index].contains(one), "{}={}", setting.name, values[index]);
-            }
-        }
-    }
-
-    #[test]
-    fn settings_without_effect_leave_drawings_equal() {
-        let points = Settings::drawn_as(plan::Reconstruct::Points);
-        let fine = Settings { max_error_px: 0.5.into(), ..points };
-        assert_eq!(drawing(&fine), drawing(&points), "full detail accepts no error");
-        let trees = |settings: Settings| drawing(&Settings { lod: plan::Lod::Spt, ..settings });
-        assert_ne!(trees(fine), trees(points));
-    }
-}
+mod tests;

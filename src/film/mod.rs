@@ -32,7 +32,7 @@ use std::path::PathBuf;
 
 pub use folder::{records, remove};
 pub use manifest::{Header, Record, Records};
-pub use run::{Event, Film, MOST_PIXELS, Report, run};
+pub use run::{Event, Film, MOST_PIXELS, Report, run, unbaked};
 
 use crate::engine::EngineError;
 use crate::math::CameraError;

@@ -17,11 +17,10 @@ use crate::engine::{
     Client, EncodedFrame, Engine, EngineError, FrameRequest, FrameTicket, Origin, Pose, Receipt,
     Resolution, ResolvedFrame, SceneMark,
 };
-use crate::plan::Reconstruct;
 
 /// Largest number of pixels with the engine at a time, for a film that is drawn alone.
 pub const MOST_PIXELS: u64 = 1 << 26;
-/// Number of frames that decide how a film's samples are drawn.
+/// Number of frames that decide how a film's samples are drawn, and what is baked for it.
 const ASKED: u64 = 64;
 /// Largest number of drawn frames that wait to be written.
 const UNWRITTEN: usize = 4;
@@ -66,6 +65,22 @@ pub struct Report {
     pub left_over: Vec<String>,
 }
 
+/// Returns the request of a wanted frame that must wait for a bake, if one of [`ASKED`] has to. Which frames are drawn from point trees depends on the
+/// pose.
+pub fn unbaked(engine: &Engine, request: &FrameRequest, shots: &Shots) -> Option<FrameRequest> {
+    let wanted = shots.wanted();
+    let step = wanted.clone().count().div_ceil(ASKED as usize).max(1);
+    wanted
+        .step_by(step)
+        .map(|number| at_shot(request, shots, number))
+        .find(|request| engine.must_bake(request))
+}
+
+fn at_shot(request: &FrameRequest, shots: &Shots, number: u64) -> FrameRequest {
+    let pose = Pose::Camera(shots.shot(number).camera);
+    FrameRequest { pose, deadline: None, ..request.clone() }
+}
+
 /// Draws all wanted frames that are missing. When `stop` becomes true, the run ends after the frame that it waits for. If nothing
 /// has been drawn yet, it ends at once and reports nothing.
 ///
@@ -83,7 +98,9 @@ pub fn run(
     let film = &film.decided()?;
     let first = *film.shots.wanted().start();
     let asked = film.shots.wanted().count() as u64;
-    film.engine.bake(&film.request(first))?;
+    while let Some(request) = unbaked(film.engine, &film.request, &film.shots) {
+        film.engine.bake(&request)?;
+    }
     // Fail before the folder is created.
     film.slot(first)?;
     let mut folder = Folder::open(film.folder)?;
@@ -167,16 +184,15 @@ impl Film<'_> {
     /// splats, all frames get them. Frames of the whole path are asked, so that runs over parts of the path agree.
     fn decided(&self) -> Result<Film<'_>, FilmError> {
         let mut request = self.request.clone();
-        if request.settings.reconstruct == Reconstruct::Auto {
+        if request.settings.leaves_drawing_open() {
             let step = self.shots.count().div_ceil(ASKED).max(1) as usize;
-            let mut drawn_as = Reconstruct::Points;
             for number in (0..self.shots.count()).step_by(step) {
-                drawn_as = self.engine.resolve_blocking(self.request(number))?.reconstruct();
-                if drawn_as != Reconstruct::Points {
+                let frame = self.engine.resolve_blocking(self.request(number))?;
+                request.settings = request.settings.drawn_like(frame.settings());
+                if !request.settings.draws_points() {
                     break;
                 }
             }
-            request.settings.reconstruct = drawn_as;
         }
         Ok(Film { request, shots: self.shots.clone(), origin: self.origin.clone(), ..*self })
     }
@@ -195,15 +211,17 @@ impl Film<'_> {
     }
 
     fn request(&self, number: u64) -> FrameRequest {
-        let pose = Pose::Camera(self.shots.shot(number).camera);
-        FrameRequest { pose, deadline: None, ..self.request.clone() }
+        at_shot(&self.request, &self.shots, number)
     }
 
-    /// Resolves a frame. A scene that needs another bake has changed.
+    /// Resolves a frame. Only a frame between those that [`unbaked`] looks at, or one of a scene that was changed, can need a bake here.
     fn resolve(&self, number: u64) -> Result<Arc<ResolvedFrame>, FilmError> {
         match self.engine.resolve(self.request(number))? {
             Resolution::Ready(frame) => Ok(frame),
-            Resolution::NeedsBake(_) => Err(FilmError::SceneChanged { frame: number }),
+            Resolution::NeedsBake(unbaked) => {
+                self.check_scene(number)?;
+                Ok(unbaked.bake_blocking()?)
+            }
         }
     }
 

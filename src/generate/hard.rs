@@ -1,4 +1,4 @@
-//! `hard`: small scenes of splats, each a corner case that renderers often miss.
+//! `hard`: small scenes of splats and lines, each a corner case that renderers often miss.
 //!
 //! There is one function per case. `scenes/README.md` says what each may break, and `tests/engine/splats_hard.rs` draws all of
 //! them. Samples that differ only in a tilt or a length are copies of one disk, so that the exact number is in the scene file,
@@ -9,7 +9,7 @@ use serde_json::{Map, Value, json};
 
 use super::plain::{Faces, srgb};
 use super::{Generated, GeneratedMesh, GeneratedScene};
-use crate::assets::{Mesh, PointCloud};
+use crate::assets::{Mesh, PointCloud, Polylines};
 use crate::scene::random::SplitMix64;
 
 /// A colour whose linear channels are 0 and 1, which weighted sums keep exactly.
@@ -66,11 +66,14 @@ impl Case {
 
     /// Finishes the scene, with solids made of its sampled meshes.
     fn finish(self, solids: &[(&str, Value)]) -> (String, GeneratedScene) {
-        let file = |asset: &str| format!("{}-{asset}.ply", self.name);
+        let file = |asset: &str, made: &Generated| {
+            let extension = if matches!(made, Generated::Lines(_)) { "vtk" } else { "ply" };
+            format!("{}-{asset}.{extension}", self.name)
+        };
         let mut listed = Map::new();
-        for (asset, _, how) in &self.assets {
+        for (asset, made, how) in &self.assets {
             let mut entry = how.clone();
-            entry["file"] = json!(file(asset));
+            entry["file"] = json!(file(asset, made));
             listed.insert((*asset).to_owned(), entry);
         }
         for (asset, solid) in solids {
@@ -93,10 +96,7 @@ impl Case {
         let lines: Vec<String> =
             lines.iter().map(|(key, value)| format!("  \"{key}\": {}", spread(value))).collect();
         let json = format!("{{\n  \"pointillist\": 1,\n{}\n}}\n", lines.join(",\n"));
-        let assets = self
-            .assets
-            .into_iter()
-            .map(|(asset, made, _)| (format!("{}-{asset}.ply", self.name), made));
+        let assets = self.assets.into_iter().map(|(asset, made, _)| (file(asset, &made), made));
         (self.name.to_owned(), GeneratedScene { json, assets: assets.collect() })
     }
 }
@@ -211,6 +211,7 @@ pub fn corpus() -> Vec<(String, GeneratedScene)> {
         few(),
         turned_away(),
         clips(),
+        lines(),
     ]
 }
 
@@ -489,4 +490,56 @@ fn clips() -> (String, GeneratedScene) {
         .camera("edge", [6.0, 0.2, 0.0], [0.0, 0.0, 0.0])
         .camera("inside", [2.2, 0.0, 0.0], [2.2, 0.0, -1.0])
         .finish(&solids)
+}
+
+/// Tubes without length, with repeated points and turns by 180°, with radii of 0 and radii larger than their length, cones, tubes seen from
+/// their end, tubes around the eye, and a hair that runs through the camera plane.
+fn lines() -> (String, GeneratedScene) {
+    let (wide, thin) = (0.2, 1e-6);
+    let strands: [&[([f64; 3], f64)]; 13] = [
+        &[([-1.5, 1.0, 0.0], wide), ([-1.5, 1.0, 0.0], wide)],
+        &[
+            ([-0.6, 1.0, 0.0], 0.1),
+            ([-0.2, 1.0, 0.0], 0.1),
+            ([-0.2, 1.0, 0.0], 0.1),
+            ([0.1, 1.2, 0.0], 0.1),
+        ],
+        &[([0.5, 1.0, 0.0], 0.08), ([1.2, 1.0, 0.0], 0.08), ([0.7, 1.0, 0.0], 0.14)],
+        &[([-1.5, 0.2, 0.0], 0.3), ([-1.45, 0.2, 0.0], 0.28)],
+        &[([-0.8, 0.2, 0.0], 0.4), ([-0.6, 0.2, 0.0], 0.05)],
+        &[([0.2, 0.2, 0.0], 0.0), ([1.4, 0.3, 0.0], 0.25)],
+        &[([1.7, -0.9, 0.0], 0.0), ([1.7, 0.9, 0.0], 0.0)],
+        // Along the view: straight, and thinner towards the eye and away from it.
+        &[([1.2, -0.8, -2.0], wide), ([1.2, -0.8, 1.0], wide)],
+        &[([-1.2, -0.8, -1.0], 0.3), ([-1.2, -0.8, 1.0], 0.05)],
+        &[([0.0, -0.8, -1.0], 0.05), ([0.0, -0.8, 1.0], 0.3)],
+        // Through the eye of `within`, and past it.
+        &[([0.0, 0.0, 9.0], wide), ([0.0, 0.0, 11.0], wide)],
+        &[([-1e4, 0.25, 10.5], thin), ([1e4, 0.25, 8.5], thin)],
+        // As long as the scene is far away.
+        &[([-1e6, 3.0, -1e6], 50.0), ([1e6, 3.0, -1e6], 50.0)],
+    ];
+    let mut lines = Polylines { strands: vec![0], ..Polylines::default() };
+    let mut radii = Vec::new();
+    for strand in strands {
+        for &(place, radius) in strand {
+            lines.positions.push(DVec3::from_array(place));
+            radii.push(radius as f32);
+        }
+        lines.strands.push(lines.positions.len() as u32);
+    }
+    lines.colors = Some(vec![srgb(0xff00ff); radii.len()]);
+    lines.radii = Some(radii);
+    Case::new("lines")
+        .asset("tubes", Generated::Lines(lines))
+        .node(json!({ "asset": "tubes" }))
+        .node(json!({ "asset": "tubes", "translate": [0, 0, -3], "rotate": [0, 180, 0] }))
+        .node(json!({ "asset": "tubes", "translate": [0, 0, -6], "scale": [1, 1e-4, 1] }))
+        .camera("front", [0.0, 0.0, 6.0], [0.01, -0.1, 0.0])
+        .camera("end-on", [1.2, -0.8, 7.0], [1.2, -0.8, 0.0])
+        .camera("within", [0.0, 0.0, 10.0], [0.1, 0.05, 0.0])
+        .camera("far", [0.0, 0.0, 3e4], [0.0, 0.0, 0.0])
+        .wide("narrow", [0.0, 0.0, 6.0], [-1.5, 1.0, 0.0], 0.01)
+        .wide("wide", [0.3, 0.1, 0.5], [0.0, 0.0, 0.0], 170.0)
+        .finish(&[])
 }

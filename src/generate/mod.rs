@@ -7,6 +7,7 @@
 mod error;
 mod hard;
 mod isosurface;
+pub mod lines;
 pub mod numeric;
 pub mod part;
 pub mod plain;
@@ -16,12 +17,14 @@ pub mod scenes;
 mod tests;
 pub mod textured;
 pub mod town;
+pub mod trees;
 mod write;
 
 pub use error::GenerateError;
+pub use trees::Form;
 pub use write::write;
 
-use crate::assets::{Material, Mesh, PointCloud, Progress, Texture};
+use crate::assets::{Material, Mesh, PointCloud, Polylines, Progress, Texture};
 
 /// Kinds of assets and scenes that can be generated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, clap::ValueEnum)]
@@ -42,8 +45,14 @@ pub enum Kind {
     CsgPart,
     /// Folder of small scenes of splats that are hard to draw
     Hard,
-    /// Tree of forking tubes and single leaves, with vertex colours
+    /// Tree with vertex colours: of few triangles, or with `--count` or `--form` of many leaves
     Tree,
+    /// Scene of ten trees of many leaves, as triangles or as lines
+    Grove,
+    /// Neurons with tapering branches: lines with radii, colours and types
+    Neurons,
+    /// Streamlines in bundles, as of a brain's white matter: lines
+    Tracts,
     /// Cube about the origin
     Cube,
     /// Sphere about the origin
@@ -60,6 +69,10 @@ pub struct Parameters {
     pub triangles: Option<u64>,
     /// Edge or height in scene units; for a plaza, the number of assemblies along each edge.
     pub size: Option<f64>,
+    /// Number of neurons, of streamlines, or of a tree's leaves.
+    pub count: Option<u64>,
+    /// Triangles or lines, for trees.
+    pub form: Option<Form>,
 }
 
 /// The result of a generator.
@@ -67,6 +80,8 @@ pub struct Parameters {
 pub enum Generated {
     Points(PointCloud),
     Mesh(GeneratedMesh),
+    Lines(Polylines),
+    Plant(Box<trees::Plant>),
     Scene(GeneratedScene),
     /// The scenes of a folder, by name.
     Scenes(Vec<(String, GeneratedScene)>),
@@ -104,7 +119,7 @@ fn within<T: PartialOrd + Copy + std::fmt::Display>(
     }
 }
 
-/// Makes an asset: points or a mesh, the scene of `plaza` or `csg-part`, or all scenes of `hard`.
+/// Makes an asset: points, a mesh or lines, the scene of `plaza` or `csg-part`, or all scenes of `hard`.
 ///
 /// # Errors
 /// A parameter is outside its range.
@@ -113,7 +128,7 @@ pub fn generate(
     parameters: &Parameters,
     progress: &Progress,
 ) -> Result<Generated, GenerateError> {
-    let Parameters { seed, points, triangles, size } = *parameters;
+    let Parameters { seed, points, triangles, size, count, form } = *parameters;
     let length = |default: f64| within("size", size, default, 1e-3, 1e6);
     let corners = |default: u64| within("triangles", triangles, default, 100, 20_000_000);
     let samples = |default: u64| within("points", points, default, 1, 1_000_000_000);
@@ -144,7 +159,19 @@ pub fn generate(
         Kind::Plaza => Generated::Scene(scenes::plaza("plaza", plaza_count(size)?, seed, progress)),
         Kind::CsgPart => Generated::Scene(machined_part("csg-part", parameters)?),
         Kind::Hard => Generated::Scenes(hard::corpus()),
-        Kind::Tree => Generated::Mesh(plain::tree(length(6.0)?, corners(8_000)?, seed)),
+        Kind::Tree if form.is_none() && count.is_none() => {
+            Generated::Mesh(plain::tree(length(6.0)?, corners(8_000)?, seed))
+        }
+        Kind::Tree => tree(parameters, progress)?,
+        Kind::Grove => Generated::Scene(grove("grove", parameters, progress)?),
+        Kind::Neurons => {
+            let count = within("count", count, 20, 1, 1_000_000)? as usize;
+            Generated::Lines(lines::neurons(count, length(1000.0)?, seed, progress))
+        }
+        Kind::Tracts => {
+            let count = within("count", count, 10_000, 1, 20_000_000)? as usize;
+            Generated::Lines(lines::tracts(count, length(150.0)?, seed, progress))
+        }
         Kind::Cube => Generated::Mesh(plain::cube(length(1.0)?)),
         Kind::Sphere => Generated::Mesh(plain::sphere(length(1.0)?, corners(4_000)?)),
     })
@@ -180,6 +207,9 @@ pub fn generate_scene(
     if kind == Kind::CsgPart {
         return machined_part(name, parameters);
     }
+    if kind == Kind::Grove {
+        return grove(name, parameters, progress);
+    }
     let asset = generate(kind, parameters, progress)?;
     Ok(match kind {
         Kind::Town => scenes::town(name, asset, town_size(parameters.size)?),
@@ -190,6 +220,34 @@ pub fn generate_scene(
 
 /// Height of the amphora in metres.
 const AMPHORA_HEIGHT: f64 = 0.6;
+
+/// A tree of many leaves, in the form that is asked for.
+fn tree(parameters: &Parameters, progress: &Progress) -> Result<Generated, GenerateError> {
+    let height = within("size", parameters.size, 8.0, 1e-3, 1e6)?;
+    // A number of triangles gives that of leaves where there is no other.
+    let aimed = match parameters.triangles {
+        Some(_) => {
+            let triangles = within("triangles", parameters.triangles, 0, 100, 20_000_000)?;
+            trees::TreeParameters::leaves_of(triangles)
+        }
+        None => 100_000,
+    };
+    let leaves = within("count", parameters.count, aimed, 1, 3_500_000)? as usize;
+    let tree = trees::TreeParameters { height, leaves, seed: parameters.seed };
+    Ok(match parameters.form {
+        Some(Form::Lines) => Generated::Plant(Box::new(trees::lines(&tree, progress))),
+        _ => Generated::Mesh(trees::triangles(&tree, progress)),
+    })
+}
+
+fn grove(
+    name: &str,
+    parameters: &Parameters,
+    progress: &Progress,
+) -> Result<GeneratedScene, GenerateError> {
+    let height = parameters.size.unwrap_or(8.0);
+    Ok(scenes::grove(name, tree(parameters, progress)?, height))
+}
 
 fn machined_part(name: &str, parameters: &Parameters) -> Result<GeneratedScene, GenerateError> {
     let length = within("size", parameters.size, 2.4, 1e-3, 1e6)?;

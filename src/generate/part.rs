@@ -6,7 +6,7 @@
 use glam::DVec3;
 
 use super::plain::{Faces, srgb};
-use super::scenes::{DAYLIGHT, Pose, around, cameras, path};
+use super::scenes::{DAYLIGHT, Pose, around, cameras, path, poses_about};
 use super::{Generated, GeneratedMesh, GeneratedScene};
 use crate::math::Bounds;
 
@@ -95,12 +95,7 @@ pub fn machined(name: &str, length: f64, samples: u64) -> GeneratedScene {
 }
 
 fn poses(unit: f64) -> [Pose; 3] {
-    let pose = |name, eye: [f64; 3], target: [f64; 3], fov| Pose {
-        name,
-        eye: DVec3::from_array(eye) * unit,
-        target: DVec3::from_array(target) * unit,
-        fov,
-    };
+    let pose = poses_about(DVec3::ZERO, unit);
     let block = Bounds { min: -HALF * unit, max: HALF * unit };
     [
         around("front", &block.corners(), DVec3::new(1.3, 1.8, 2.7), DVec3::Y, 38.0),

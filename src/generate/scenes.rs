@@ -6,6 +6,7 @@
 
 use glam::DVec3;
 
+use super::trees::Plant;
 use super::{Generated, GeneratedMesh, GeneratedScene, plain, relief, textured};
 use crate::assets::Progress;
 use crate::math::framing::{Look, Shown, frame};
@@ -17,6 +18,15 @@ pub(super) struct Pose {
     pub eye: DVec3,
     pub target: DVec3,
     pub fov: f64,
+}
+
+/// Makes poses from a name, eye, target and field of view, where places count in units of a length about a middle.
+pub(super) fn poses_about(
+    middle: DVec3,
+    unit: f64,
+) -> impl Fn(&'static str, [f64; 3], [f64; 3], f64) -> Pose {
+    let place = move |at: [f64; 3]| middle + DVec3::from_array(at) * unit;
+    move |name, eye, target, fov| Pose { name, eye: place(eye), target: place(target), fov }
 }
 
 /// Formats coordinates for a file, rounded to millimetres.
@@ -94,12 +104,7 @@ pub fn town(name: &str, scan: Generated, size_m: f64) -> GeneratedScene {
         }
         _ => Vec::new(),
     };
-    let pose = |name, eye: [f64; 3], target: [f64; 3], fov| Pose {
-        name,
-        eye: middle + DVec3::from_array(eye) * s,
-        target: middle + DVec3::from_array(target) * s,
-        fov,
-    };
+    let pose = poses_about(middle, s);
     let poses = [
         around("overview", &town, DVec3::new(-0.55, -1.0, 0.8), DVec3::Z, 42.0),
         pose("square", [-0.3, -0.42, 0.14], [0.03, 0.05, 0.06], 50.0),
@@ -123,6 +128,14 @@ fn bounds_of(asset: &Generated) -> Bounds {
     match asset {
         Generated::Points(cloud) => Bounds::of(cloud.positions.iter().copied()),
         Generated::Mesh(mesh) => Bounds::of(mesh.mesh.positions.iter().copied()),
+        Generated::Lines(lines) => {
+            Bounds::of(lines.positions.iter().copied()).grown(lines.widest())
+        }
+        Generated::Plant(plant) => {
+            let parts =
+                [&plant.trunk.mesh.positions, &plant.branches.positions, &plant.leaves.positions];
+            Bounds::of(parts.into_iter().flatten().copied())
+        }
         Generated::Scene(_) | Generated::Scenes(_) => Bounds::EMPTY,
     }
 }
@@ -131,14 +144,22 @@ fn bounds_of(asset: &Generated) -> Bounds {
 pub fn solid(name: &str, asset: Generated) -> GeneratedScene {
     let bounds = bounds_of(&asset);
     let textured = matches!(&asset, Generated::Mesh(GeneratedMesh { texture: Some(_), .. }));
-    let file = format!("{name}-{}", if textured { "mesh.obj" } else { "asset.ply" });
-    let (middle, reach) = (bounds.centre(), bounds.extent().max_element().max(1e-6));
-    let pose = |name, eye: [f64; 3], target: [f64; 3], fov| Pose {
-        name,
-        eye: middle + DVec3::from_array(eye) * reach,
-        target: middle + DVec3::from_array(target) * reach,
-        fov,
+    let parts = match asset {
+        Generated::Plant(plant) => parts(name, name, *plant),
+        Generated::Lines(_) => vec![(name.to_owned(), format!("{name}-lines.vtk"), asset)],
+        _ if textured => vec![(name.to_owned(), format!("{name}-mesh.obj"), asset)],
+        _ => vec![(name.to_owned(), format!("{name}-asset.ply"), asset)],
     };
+    let listed: Vec<String> = parts
+        .iter()
+        .map(|(part, file, _)| format!("\"{part}\": {{ \"file\": \"{file}\" }}"))
+        .collect();
+    let nodes: Vec<String> = parts
+        .iter()
+        .map(|(part, ..)| format!("{{ \"name\": \"{part}\", \"asset\": \"{part}\" }}"))
+        .collect();
+    let (middle, reach) = (bounds.centre(), bounds.extent().max_element().max(1e-6));
+    let pose = poses_about(middle, reach);
     let poses = [
         pose("front", [0.25, 0.25, 1.75], [0.0, 0.0, 0.0], 38.0),
         pose("detail", [0.35, 0.35, 0.65], [0.02, 0.12, 0.05], 40.0),
@@ -153,23 +174,33 @@ pub fn solid(name: &str, asset: Generated) -> GeneratedScene {
         around(6.0, 0.0, 1.75),
     ];
     let json = format!(
-        "{{\n  \"pointillist\": 1,\n  \"name\": \"{name}\",\n  \"assets\": {{ \"{name}\": {{ \"file\": \"{file}\" }} }},\n  \"nodes\": [ {{ \"name\": \"{name}\", \"asset\": \"{name}\" }} ],\n{DAYLIGHT},\n  \"background\": \"#3a4149\",\n{},\n{}\n}}\n",
+        "{{\n  \"pointillist\": 1,\n  \"name\": \"{name}\",\n  \"assets\": {{ {} }},\n  \"nodes\": [ {} ],\n{DAYLIGHT},\n  \"background\": \"#3a4149\",\n{},\n{}\n}}\n",
+        listed.join(", "),
+        nodes.join(", "),
         cameras(&poses),
         path("turn", &keys)
     );
-    GeneratedScene { json, assets: vec![(file, asset)] }
+    GeneratedScene { json, assets: parts.into_iter().map(|(_, file, part)| (file, part)).collect() }
+}
+
+/// Name in the scene, file and asset of each part of a tree of lines.
+fn parts(name: &str, tree: &str, plant: Plant) -> Vec<(String, String, Generated)> {
+    vec![
+        (format!("{tree}-trunk"), format!("{name}-trunk.ply"), Generated::Mesh(plant.trunk)),
+        (
+            format!("{tree}-branches"),
+            format!("{name}-branches.vtk"),
+            Generated::Lines(plant.branches),
+        ),
+        (format!("{tree}-leaves"), format!("{name}-leaves.vtk"), Generated::Lines(plant.leaves)),
+    ]
 }
 
 /// An amphora on a checkered floor.
 pub fn amphora(name: &str, amphora: Generated, height: f64) -> GeneratedScene {
     let (mesh, floor) = (format!("{name}-amphora.obj"), format!("{name}-floor.obj"));
     let h = height;
-    let pose = |name, eye: [f64; 3], target: [f64; 3], fov| Pose {
-        name,
-        eye: DVec3::from_array(eye) * h,
-        target: DVec3::from_array(target) * h,
-        fov,
-    };
+    let pose = poses_about(DVec3::ZERO, h);
     let poses = [
         pose("front", [0.5, 0.9, 2.1], [0.0, 0.47, 0.0], 38.0),
         pose("detail", [0.3, 0.75, 0.75], [0.0, 0.58, 0.0], 40.0),
@@ -192,6 +223,96 @@ pub fn amphora(name: &str, amphora: Generated, height: f64) -> GeneratedScene {
     );
     let floor_mesh = Generated::Mesh(textured::checker_mesh(6.4 * h));
     GeneratedScene { json, assets: vec![(mesh, amphora), (floor, floor_mesh)] }
+}
+
+/// The trees of a grove: place, turn in degrees and scale, for trees of height 1.
+const GROVE: [([f64; 2], u32, f64); 10] = [
+    ([-1.3, -0.7], 0, 1.0),
+    ([-0.62, -0.9], 40, 0.88),
+    ([0.08, -0.75], 200, 1.08),
+    ([0.8, -0.95], 310, 0.95),
+    ([1.45, -0.65], 95, 1.05),
+    ([-0.98, 0.15], 250, 0.92),
+    ([-0.3, 0.05], 150, 1.1),
+    ([0.46, 0.2], 20, 0.9),
+    ([1.12, 0.1], 280, 1.0),
+    ([0.05, 0.95], 120, 0.8),
+];
+
+/// Ten copies of a tree on level ground.
+pub fn grove(name: &str, tree: Generated, height: f64) -> GeneratedScene {
+    let h = height;
+    let mut parts = match tree {
+        Generated::Plant(plant) => parts(name, "tree", *plant),
+        mesh => vec![("tree".to_owned(), format!("{name}-tree.ply"), mesh)],
+    };
+    let children: Vec<String> =
+        parts.iter().map(|(part, ..)| format!("      {{ \"asset\": \"{part}\" }}")).collect();
+    let mut ground = plain::Faces::default();
+    let corner = |x: f64, z: f64| DVec3::new(x, 0.0, z) * (4.0 * h);
+    ground.polygon(
+        &[corner(-1.0, -1.0), corner(-1.0, 1.0), corner(1.0, 1.0), corner(1.0, -1.0)],
+        plain::srgb(0x7f8a5a),
+    );
+    let ground = Generated::Mesh(ground.finish(None));
+    parts.push(("ground".to_owned(), format!("{name}-ground.ply"), ground));
+    let listed: Vec<String> = parts
+        .iter()
+        .map(|(part, file, _)| format!("    \"{part}\": {{ \"file\": \"{file}\" }}"))
+        .collect();
+    let nodes: Vec<String> = GROVE
+        .iter()
+        .enumerate()
+        .map(|(number, ([x, z], turn, scale))| {
+            let place = vector(DVec3::new(*x, 0.0, *z) * h);
+            format!(
+                "    {{ \"name\": \"tree-{number}\", \"prototype\": \"tree\", \"translate\": {place}, \"rotate\": [0, {turn}, 0], \"scale\": {scale} }}"
+            )
+        })
+        .collect();
+    let pose = poses_about(DVec3::ZERO, h);
+    let poses = [
+        pose("overview", [0.6, 1.0, 4.6], [0.05, 0.42, 0.0], 40.0),
+        pose("near", [-0.1, 0.45, 2.1], [0.05, 0.42, 0.0], 50.0),
+        pose("detail", [0.15, 0.55, 1.75], [0.05, 0.45, 0.95], 40.0),
+        pose("far", [2.0, 2.5, 14.0], [0.05, 0.4, 0.0], 40.0),
+    ];
+    let key =
+        |t: f64, x: f64, z: f64| (t, DVec3::new(x, 0.8, z) * h, DVec3::new(0.05, 0.4, 0.0) * h);
+    let keys = [key(0.0, 0.0, 4.5), key(2.0, 4.0, 2.0), key(4.0, 3.0, -3.5), key(6.0, -2.5, -4.0)];
+    let shown = Bounds { min: DVec3::new(-1.8, 0.0, -1.4), max: DVec3::new(1.9, 1.05, 1.4) };
+    let shown = Bounds { min: shown.min * h, max: shown.max * h };
+    let json = format!(
+        r##"{{
+  "pointillist": 1,
+  "name": "{name}",
+  "assets": {{
+{}
+  }},
+  "prototypes": {{
+    "tree": {{ "children": [
+{}
+    ] }}
+  }},
+  "nodes": [
+    {{ "name": "ground", "asset": "ground" }},
+{}
+  ],
+{DAYLIGHT},
+  "background": "#b9cbdd",
+{},
+{},
+{}
+}}
+"##,
+        listed.join(",\n"),
+        children.join(",\n"),
+        nodes.join(",\n"),
+        subject(&shown),
+        cameras(&poses),
+        path("around", &keys)
+    );
+    GeneratedScene { json, assets: parts.into_iter().map(|(_, file, part)| (file, part)).collect() }
 }
 
 /// Distance between assemblies in metres.

@@ -10,20 +10,49 @@ const COMMITTED: [(Kind, &str, Parameters); 5] = [
     (
         Kind::Town,
         "town",
-        Parameters { seed: 1, points: Some(165_000), triangles: None, size: Some(64.0) },
+        Parameters {
+            seed: 1,
+            points: Some(165_000),
+            triangles: None,
+            size: Some(64.0),
+            count: None,
+            form: None,
+        },
     ),
     (
         Kind::Relief,
         "relief",
-        Parameters { seed: 1, points: None, triangles: Some(36_000), size: None },
+        Parameters {
+            seed: 1,
+            points: None,
+            triangles: Some(36_000),
+            size: None,
+            count: None,
+            form: None,
+        },
     ),
     (
         Kind::Textured,
         "textured",
-        Parameters { seed: 1, points: None, triangles: Some(8_000), size: None },
+        Parameters {
+            seed: 1,
+            points: None,
+            triangles: Some(8_000),
+            size: None,
+            count: None,
+            form: None,
+        },
     ),
-    (Kind::CsgPart, "part", Parameters { seed: 1, points: None, triangles: None, size: None }),
-    (Kind::Plaza, "plaza", Parameters { seed: 1, points: None, triangles: None, size: None }),
+    (
+        Kind::CsgPart,
+        "part",
+        Parameters { seed: 1, points: None, triangles: None, size: None, count: None, form: None },
+    ),
+    (
+        Kind::Plaza,
+        "plaza",
+        Parameters { seed: 1, points: None, triangles: None, size: None, count: None, form: None },
+    ),
 ];
 
 fn scenes_folder() -> PathBuf {
@@ -166,7 +195,14 @@ fn obj_files_have_material_and_texture() {
 #[test]
 fn refusals_name_the_parameter_and_the_format() {
     let none = Progress::none();
-    let with = |points, triangles, size| Parameters { seed: 0, points, triangles, size };
+    let with = |points, triangles, size| Parameters {
+        seed: 0,
+        points,
+        triangles,
+        size,
+        count: None,
+        form: None,
+    };
     for (kind, parameters, name) in [
         (Kind::Town, with(Some(0), None, None), "points"),
         (Kind::Town, with(None, None, Some(f64::NAN)), "size"),
@@ -195,6 +231,8 @@ fn every_kind_makes_a_scene() {
             points: Some(2_000),
             triangles: Some(3_000),
             size: matches!(kind, Kind::Town).then_some(60.0),
+            count: Some(30),
+            form: None,
         };
         let made = generate_scene(*kind, "it", &parameters, &Progress::none()).unwrap();
         let path = folder.path().join("it.json");
@@ -202,5 +240,122 @@ fn every_kind_makes_a_scene() {
         let scene = scene::load(&path, folder.path(), &SceneLimits::default())
             .unwrap_or_else(|error| panic!("{kind:?}: {error}"));
         assert!(scene.instance_count() > 0);
+    }
+}
+
+/// Lines are read back as they were made, and those of fewer streamlines or neurons begin in the same way.
+#[test]
+fn lines_are_read_back_from_both_formats() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = crate::assets::ReadOptions::default();
+    for (kind, count, has_radii) in [(Kind::Neurons, 3, true), (Kind::Tracts, 200, false)] {
+        let parameters = Parameters { seed: 5, count: Some(count), ..Parameters::default() };
+        let made = generate(kind, &parameters, &Progress::none()).unwrap();
+        let Generated::Lines(lines) = &made else { panic!("lines expected") };
+        assert_eq!(lines.radii.is_some(), has_radii);
+        let mut radii = lines.radii.iter().flatten();
+        assert!(radii.all(|radius| *radius > 0.0 && radius.is_finite()));
+        let strands = lines.strands.len() as u64 - 1;
+        if kind == Kind::Tracts {
+            assert_eq!(strands, count);
+        } else {
+            // A body, and at least a branch of each kind.
+            assert!(strands > 10 * count, "{strands}");
+        }
+        for extension in ["vtk", "tck"] {
+            let path = folder.path().join(format!("a.{extension}"));
+            write(&made, &path).unwrap();
+            let first = std::fs::read(&path).unwrap();
+            write(&generate(kind, &parameters, &Progress::none()).unwrap(), &path).unwrap();
+            assert!(std::fs::read(&path).unwrap() == first, "{kind:?} twice");
+            let asset = crate::assets::read(&path, &options).unwrap();
+            let crate::assets::Geometry::Lines(found) = &asset.geometries[0] else { panic!() };
+            assert!(asset.warnings.is_empty(), "{:?}", asset.warnings);
+            assert_eq!(found.strands, lines.strands);
+            let near = |(a, b): (&glam::DVec3, &glam::DVec3)| a.distance(*b) < 1e-3;
+            assert!(found.positions.iter().zip(&lines.positions).all(near));
+            if extension == "vtk" {
+                assert_eq!(found.radii, lines.radii);
+                assert_eq!(found.colors, lines.colors);
+                assert_eq!(found.fields.list().len(), usize::from(has_radii));
+            }
+        }
+        assert!(write(&made, &folder.path().join("a.ply")).is_err());
+        let scene = generate_scene(kind, "it", &parameters, &Progress::none()).unwrap();
+        let path = folder.path().join("it.json");
+        write(&Generated::Scene(scene), &path).unwrap();
+        scene::load(&path, folder.path(), &SceneLimits::default()).unwrap();
+    }
+}
+
+/// Trees of lines come back from their files as they were made, and equal parameters give equal bytes.
+#[test]
+fn trees_are_read_back_in_both_forms() {
+    use crate::assets::Geometry;
+    let folder = tempfile::tempdir().unwrap();
+    let of =
+        |form| Parameters { seed: 7, count: Some(500), form: Some(form), ..Parameters::default() };
+    let read = |path: &Path| {
+        let mut asset = crate::assets::read(path, &crate::assets::ReadOptions::default()).unwrap();
+        assert!(asset.warnings.is_empty(), "{:?}", asset.warnings);
+        asset.geometries.remove(0)
+    };
+    let made = generate(Kind::Tree, &of(Form::Lines), &Progress::none()).unwrap();
+    let path = folder.path().join("a.vtk");
+    let files = write(&made, &path).unwrap();
+    let bytes: Vec<Vec<u8>> = files.iter().map(|file| std::fs::read(file).unwrap()).collect();
+    let names: Vec<_> = files.iter().map(|file| file.file_name().unwrap().to_owned()).collect();
+    assert_eq!(names, ["a.vtk", "a-leaves.vtk", "a-trunk.ply"]);
+    write(&generate(Kind::Tree, &of(Form::Lines), &Progress::none()).unwrap(), &path).unwrap();
+    for (file, bytes) in files.iter().zip(&bytes) {
+        assert!(std::fs::read(file).unwrap() == *bytes, "{} twice", file.display());
+    }
+    let Generated::Plant(plant) = &made else { panic!("a tree of lines expected") };
+    for (file, lines) in files.iter().zip([&plant.branches, &plant.leaves]) {
+        let Geometry::Lines(found) = read(file) else { panic!("lines expected") };
+        assert_eq!(found.strands, lines.strands);
+        assert_eq!((&found.radii, &found.colors), (&lines.radii, &lines.colors));
+        assert_eq!(found.normals.is_some(), lines.normals.is_some());
+        let pairs = found.normals.iter().flatten().zip(lines.normals.iter().flatten());
+        assert!(pairs.into_iter().all(|(a, b)| a.distance(*b) < 1e-6));
+    }
+    let Geometry::Mesh(trunk) = read(&files[2]) else { panic!("a mesh expected") };
+    assert_eq!(trunk.triangles, plant.trunk.mesh.triangles);
+    let error = write(&made, Path::new("a.ply")).unwrap_err().to_string();
+    assert!(error.contains("a tree of lines") && error.contains(".vtk"), "{error}");
+    let mesh = generate(Kind::Tree, &of(Form::Triangles), &Progress::none()).unwrap();
+    assert!(matches!(&mesh, Generated::Mesh(mesh) if mesh.mesh.triangles.len() > 2_000));
+    for form in [Form::Lines, Form::Triangles] {
+        for kind in [Kind::Tree, Kind::Grove] {
+            let made = generate_scene(kind, "it", &of(form), &Progress::none()).unwrap();
+            let path = folder.path().join("it.json");
+            write(&Generated::Scene(made), &path).unwrap();
+            let scene = scene::load(&path, folder.path(), &SceneLimits::default()).unwrap();
+            let parts = if form == Form::Lines { 3 } else { 1 };
+            let copies = if kind == Kind::Grove { 10 * parts + 1 } else { parts };
+            assert_eq!(scene.instance_count(), copies, "{kind:?} {form:?}");
+        }
+    }
+}
+
+#[test]
+fn trees_refuse_counts_out_of_range() {
+    let none = Progress::none();
+    let parameters = |count, triangles| Parameters {
+        count,
+        triangles,
+        form: Some(Form::Lines),
+        ..Parameters::default()
+    };
+    for kind in [Kind::Tree, Kind::Grove] {
+        for (parameters, name) in [
+            (parameters(Some(0), None), "count"),
+            (parameters(Some(3_500_001), None), "count"),
+            (parameters(None, Some(99)), "triangles"),
+            (Parameters { size: Some(0.0), ..parameters(Some(1), None) }, "size"),
+        ] {
+            let error = generate(kind, &parameters, &none).unwrap_err().to_string();
+            assert!(error.starts_with(name), "{error}");
+        }
     }
 }

@@ -1,7 +1,9 @@
-//! Writers for generated assets: binary PLY, LAS and LAZ, OBJ with MTL and PNG, scene files.
+//! Writers for generated assets: binary PLY, LAS and LAZ, OBJ with MTL and PNG, VTK and TCK, scene files.
 //!
 //! The files do not depend on the time or the machine: no dates, no identifiers, always little-endian. Points have f64
 //! coordinates, meshes f32.
+
+mod strands;
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -31,6 +33,21 @@ pub fn write(generated: &Generated, path: &Path) -> Result<Vec<PathBuf>, Generat
             return Err(refuse("a textured mesh", ".obj and .json"));
         }
         (Generated::Mesh(_), _) => return Err(refuse("a mesh", ".ply, .obj and .json")),
+        (Generated::Lines(lines), "vtk") => strands::vtk(lines, path),
+        (Generated::Lines(lines), "tck") => strands::tck(lines, path),
+        (Generated::Lines(_), _) => return Err(refuse("lines", ".vtk, .tck and .json")),
+        (Generated::Plant(plant), "vtk") => {
+            let beside = |end: &str| {
+                let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+                path.with_file_name(format!("{stem}-{end}"))
+            };
+            let (leaves, trunk) = (beside("leaves.vtk"), beside("trunk.ply"));
+            strands::vtk(&plant.branches, path)?;
+            strands::vtk(&plant.leaves, &leaves)?;
+            ply_mesh(&plant.trunk.mesh, &trunk)?;
+            return Ok(vec![path.to_owned(), leaves, trunk]);
+        }
+        (Generated::Plant(_), _) => return Err(refuse("a tree of lines", ".vtk and .json")),
         (Generated::Scene(scene), "json") => {
             let mut files = vec![path.to_owned()];
             std::fs::write(path, &scene.json).map_err(GenerateError::io(path))?;

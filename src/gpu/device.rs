@@ -66,6 +66,13 @@ pub struct Gpu {
     lost: Arc<AtomicBool>,
 }
 
+/// 64-bit atomics that take the greater of two values.
+const ATOMICS_64: wgpu::Features =
+    wgpu::Features::SHADER_INT64.union(wgpu::Features::SHADER_INT64_ATOMIC_MIN_MAX);
+/// 64-bit atomics that add and exchange.
+const ATOMIC_SUMS_64: wgpu::Features =
+    wgpu::Features::SHADER_INT64.union(wgpu::Features::SHADER_INT64_ATOMIC_ALL_OPS);
+
 impl Gpu {
     /// Opens the most capable adapter: a discrete GPU before an integrated one, and both before a software adapter.
     ///
@@ -110,7 +117,6 @@ impl Gpu {
         let info = adapter.get_info();
         let name = describe(&info);
         let unfit = |reason: String| GpuError::Unfit { adapter: name.clone(), reason };
-        let offered = adapter.features();
         let mut limits = adapter.limits();
         if let Some(bytes) = options.max_binding_bytes {
             limits.max_storage_buffer_binding_size =
@@ -122,30 +128,10 @@ impl Gpu {
                 limits.max_storage_buffers_per_shader_stage
             )));
         }
-        let wide = wgpu::Features::SHADER_INT64 | wgpu::Features::SHADER_INT64_ATOMIC_MIN_MAX;
-        let atomics_64 = offered.contains(wide) && !options.force_32_bit;
-        let sums = wgpu::Features::SHADER_INT64 | wgpu::Features::SHADER_INT64_ATOMIC_ALL_OPS;
-        let atomic_sums_64 = offered.contains(sums) && !options.force_32_bit;
-        let integers = offered & wgpu::Features::SHADER_INT64;
+        let features = wanted_features(adapter.features(), options.force_32_bit);
         let is_cpu = info.device_type == wgpu::DeviceType::Cpu;
-        let rasterises = options.rasterise.unwrap_or(!is_cpu) || integers.is_empty();
-        // The 32-bit path stands for the poorest adapters, which have no subgroups either.
-        let subgroups = if options.force_32_bit {
-            wgpu::Features::empty()
-        } else {
-            offered & wgpu::Features::SUBGROUP
-        };
-        let mut features = integers | subgroups | (offered & wgpu::Features::TIMESTAMP_QUERY);
-        if features.contains(wgpu::Features::TIMESTAMP_QUERY) {
-            features |= offered & wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS;
-        }
-        features |= offered & wgpu::Features::PIPELINE_CACHE;
-        if atomics_64 {
-            features |= wide;
-        }
-        if atomic_sums_64 {
-            features |= sums;
-        }
+        let has_integers = features.contains(wgpu::Features::SHADER_INT64);
+        let rasterises = options.rasterise.unwrap_or(!is_cpu) || !has_integers;
         let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("pointillist"),
             required_features: features,
@@ -177,15 +163,15 @@ impl Gpu {
             device,
             queue,
             name,
-            atomics_64,
-            atomic_sums_64,
+            atomics_64: features.contains(ATOMICS_64),
+            atomic_sums_64: features.contains(ATOMIC_SUMS_64),
             timestamp_period_ns,
             stamps_between_passes: features
                 .contains(wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS),
             limits,
             is_cpu,
             rasterises,
-            subgroups: !subgroups.is_empty(),
+            subgroups: features.contains(wgpu::Features::SUBGROUP),
             pipeline_store,
             kept_pipelines,
             pipeline_cache,
@@ -201,6 +187,25 @@ impl Gpu {
     pub fn max_binding_bytes(&self) -> u64 {
         self.limits.max_storage_buffer_binding_size.min(self.limits.max_buffer_size)
     }
+}
+
+/// Chooses among the features that an adapter offers. The 32-bit path stands for the poorest adapters, which have no subgroups either.
+fn wanted_features(offered: wgpu::Features, force_32_bit: bool) -> wgpu::Features {
+    let mut features = offered
+        & (wgpu::Features::SHADER_INT64
+            | wgpu::Features::TIMESTAMP_QUERY
+            | wgpu::Features::PIPELINE_CACHE);
+    if features.contains(wgpu::Features::TIMESTAMP_QUERY) {
+        features |= offered & wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS;
+    }
+    if !force_32_bit {
+        for wanted in [ATOMICS_64, ATOMIC_SUMS_64, wgpu::Features::SUBGROUP] {
+            if offered.contains(wanted) {
+                features |= wanted;
+            }
+        }
+    }
+    features
 }
 
 fn pipeline_cache(device: &wgpu::Device, kept: &[u8]) -> wgpu::PipelineCache {

@@ -116,7 +116,7 @@ pub fn disposition_name(headers: &HeaderMap) -> Result<Option<String>, Problem> 
 }
 
 /// Extensions of files that belong to other files and are no scene by themselves.
-const COMPANIONS: [&str; 11] =
+pub const COMPANIONS: [&str; 11] =
     ["mtl", "png", "jpg", "jpeg", "webp", "bmp", "tga", "bin", "gif", "hdr", "txt"];
 
 /// Chooses the file to load: the one named, else the scene, else the only file that is not a

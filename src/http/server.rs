@@ -21,6 +21,7 @@ use std::time::Duration;
 use axum_server::Handle;
 use hyper_util::rt::TokioTimer;
 use tokio::sync::Semaphore;
+use tokio::task::JoinHandle;
 
 use super::connection::{Doorkeeper, PROBES};
 use super::problem::Problem;
@@ -103,10 +104,21 @@ pub async fn serve(
         ended = &mut server => return Ok(ended??),
     }
 
+    drain(&app, &handle, server, &mut signals).await;
+    Ok(())
+}
+
+/// Lets answers under way, streams and jobs end, for as long as the settings allow and until another signal.
+async fn drain<T>(
+    app: &Arc<App>,
+    handle: &Handle<SocketAddr>,
+    server: JoinHandle<T>,
+    signals: &mut Signals,
+) {
     app.set_phase(Phase::Draining);
     handle.graceful_shutdown(Some(app.settings.drain));
     let drained = async {
-        let _ = (&mut server).await;
+        let _ = server.await;
         app.streams.closed().await;
         let (engine, jobs) = (app.engine.clone(), app.jobs.clone());
         let _ = tokio::task::spawn_blocking(move || {
@@ -125,10 +137,9 @@ pub async fn serve(
             Ok(()) => tracing::info!("drained"),
             Err(_) => tracing::warn!("stopping with work in flight"),
         },
-        signal = signals.stop(&app) => tracing::warn!(signal, "stopping at once"),
+        signal = signals.stop(app) => tracing::warn!(signal, "stopping at once"),
     }
-    upload::stand_down(&app);
-    Ok(())
+    upload::stand_down(app);
 }
 
 async fn run(

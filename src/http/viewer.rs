@@ -6,13 +6,18 @@
 
 use std::borrow::Cow;
 use std::fmt::Write;
+use std::sync::LazyLock;
 
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use serde_json::json;
 use sha2::{Digest, Sha256};
 
+use super::names::COMPANIONS;
 use super::problem::{Kind, Problem, nearest};
+use super::upload::MAX_FILES;
 use super::{Segments, conditional};
+use crate::assets;
 
 const HTML: &str = "text/html; charset=utf-8";
 const CSS: &str = "text/css; charset=utf-8";
@@ -31,6 +36,23 @@ macro_rules! files {
     ($($name:literal),* $(,)?) => {
         [$(File { name: $name, text: include_str!(concat!("../viewer/", $name)) }),*]
     };
+}
+
+/// The script that tells the page which files an upload takes, made of what the daemon declares.
+static FORMATS: LazyLock<File> = LazyLock::new(|| {
+    let models: Vec<&str> =
+        assets::FORMATS.iter().copied().filter(|format| !COMPANIONS.contains(format)).collect();
+    let text = format!(
+        "// Formats that the daemon reads, files that belong to others, and the largest number of files in an upload.\n\
+         export const MODELS = {};\nexport const COMPANIONS = {};\nexport const MOST_FILES = {MAX_FILES};\n",
+        json!(models),
+        json!(COMPANIONS),
+    );
+    File { name: "formats.js", text: text.leak() }
+});
+
+fn files() -> impl Iterator<Item = &'static File> {
+    FILES.iter().chain([&*FORMATS])
 }
 
 /// The page comes first.
@@ -97,7 +119,7 @@ pub async fn file(
     Segments(name): Segments<String>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    match FILES.iter().find(|file| file.name == name) {
+    match files().find(|file| file.name == name) {
         Some(file) => answer(file, &headers),
         None => {
             let shown: String = name.chars().take(64).collect();
@@ -105,7 +127,7 @@ pub async fn file(
                 Kind::UnknownRoute,
                 format!("the viewer has no file `{}`", shown.escape_debug()),
             );
-            Err(match nearest(&shown, FILES.iter().map(|file| file.name)) {
+            Err(match nearest(&shown, files().map(|file| file.name)) {
                 Some(meant) => problem.accepted(format!("/viewer/{meant}")),
                 None => problem.accepted("the files that the page at / names"),
             })
@@ -177,7 +199,7 @@ mod tests {
 
     #[test]
     fn every_file_that_is_named_is_served_and_the_other_way_round() {
-        let known: BTreeSet<&str> = FILES.iter().map(|file| file.name).collect();
+        let known: BTreeSet<&str> = files().map(|file| file.name).collect();
         let mut all: BTreeSet<&str> = FILES.iter().flat_map(|file| named(file.text)).collect();
         assert!(all.insert("index.html"));
         assert_eq!(known, all);
@@ -185,6 +207,26 @@ mod tests {
         let there = std::fs::read_dir(folder).unwrap().count();
         assert_eq!(there, FILES.len(), "files in {folder}");
         assert_eq!(FILES[0].name, "index.html");
+    }
+
+    #[test]
+    fn the_page_takes_every_format_that_is_read() {
+        let list = |name: &str| -> Vec<String> {
+            let (_, rest) = FORMATS.text.split_once(&format!("const {name} = ")).unwrap();
+            serde_json::from_str(rest.split_once(';').unwrap().0).unwrap()
+        };
+        let (models, companions) = (list("MODELS"), list("COMPANIONS"));
+        for format in assets::FORMATS {
+            let lists = [&models, &companions];
+            let found = lists.iter().filter(|list| list.iter().any(|name| name == format)).count();
+            assert_eq!(found, 1, "{format}");
+        }
+        // No other script repeats a list.
+        for file in &FILES {
+            assert!(!file.text.contains("'laz'"), "{}", file.name);
+        }
+        let page = FILES[0].text;
+        assert!(page.contains("id=\"formats\"") && !page.contains("LAZ"));
     }
 
     #[test]

@@ -22,6 +22,7 @@
 
 pub mod book;
 mod clock;
+mod hold;
 pub mod live;
 mod maintenance;
 mod manifests;

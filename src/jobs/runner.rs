@@ -19,6 +19,7 @@ use glam::DVec3;
 
 use super::JobError;
 use super::book::{Failure, FailureKind, JobId, Made, Need, Outcome, Phase, Record, Video};
+use super::hold::hold;
 use super::live::{Live, Stage, Stop};
 use super::spec::{PathChoice, Spec};
 use super::state::JobsState;
@@ -163,9 +164,12 @@ impl Run<'_> {
     }
 
     fn bake(&mut self) -> Result<Outcome, Outcome> {
-        let live = self.live;
-        let request = self.record.spec.request();
-        let ticket = self.shared.engine.begin_bake(&request);
+        let (live, spec) = (self.live, &self.record.spec);
+        let engine = &self.shared.engine;
+        let shots = find_shots(engine, spec).map_err(|error| self.film_failed(error))?;
+        let request = film::unbaked(engine, &spec.request(), &shots);
+        let Some(request) = request else { return Ok(Outcome::Next(Phase::Drawing)) };
+        let ticket = engine.begin_bake(&request);
         let ticket = ticket.map_err(|error| self.film_failed(error.into()))?;
         let Some(mut ticket) = ticket else { return Ok(Outcome::Next(Phase::Drawing)) };
         live.progress.lock().begin(Stage::Baking);
@@ -239,8 +243,8 @@ impl Run<'_> {
         let reel = Reel::new(&request, &shots, spec.want.bitrate_kbps);
         (self.made.total, self.made.fps) = (Some(reel.frames), Some(reel.fps));
         shared.check_quota().map_err(|error| full(&error))?;
-        if shared.engine.must_bake(&request) {
-            // The scene was edited since it was baked.
+        if film::unbaked(&shared.engine, &request, &shots).is_some() {
+            // The scene was edited since it was baked, or another frame needs something else.
             return Err(Outcome::Next(Phase::Baking));
         }
 
@@ -332,6 +336,7 @@ impl Run<'_> {
             progress.step(Instant::now());
             drop(progress);
             live.changed();
+            hold(coded, &live.stop);
         });
         coded.map_err(|error| self.video_failed(error))?;
         let digest = File::open(&file).and_then(film::manifest::digest);

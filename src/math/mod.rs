@@ -4,9 +4,11 @@ mod bounds;
 mod camera;
 pub mod framing;
 pub mod spline;
+mod tube;
 
 pub use bounds::Bounds;
 pub use camera::{
     Camera, CameraError, FARTHEST, FOV_RANGE_DEG, Lens, ORTHO_HEIGHT_RANGE, Projection, Sensor,
     SensorView, View,
 };
+pub use tube::{Entry, Tube};

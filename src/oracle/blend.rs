@@ -106,7 +106,7 @@ pub fn splatted(
 fn seen_splats(prepared: &Prepared<'_>, view: &View, settings: &Settings) -> Vec<Splat> {
     let of_item = |(number, item): (usize, &PreparedItem<'_>)| match item.item.geometry {
         Geometry::Points(cloud) => item_splats(prepared, view, settings, (number, item, cloud)),
-        Geometry::Mesh(_) => vec![],
+        Geometry::Mesh(_) | Geometry::Lines(_) => vec![],
     };
     prepared.items.iter().enumerate().flat_map(of_item).collect()
 }
@@ -136,7 +136,7 @@ fn item_splats(
 }
 
 /// Which side of its surface a sample shows.
-fn facing(item: &PreparedItem<'_>, cloud: &PointCloud, index: usize, view: &View) -> i8 {
+pub(super) fn facing(item: &PreparedItem<'_>, cloud: &PointCloud, index: usize, view: &View) -> i8 {
     let normal = cloud.normals.as_ref().and_then(|normals| normals.get(index)).copied();
     let (Some(normal), true) = (normal, cloud.oriented) else { return 0 };
     let position = cloud.positions.get(index).and_then(|&position| item.to_view(position));

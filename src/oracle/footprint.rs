@@ -59,6 +59,14 @@ impl Gaussian {
         along * along / long + across * across / short
     }
 
+    /// The variance matrix, in square pixels.
+    pub fn variance(&self) -> DMat2 {
+        let (along, across) = (self.long_axis, self.long_axis.perp());
+        let [long, short] = self.variances;
+        let outer = |axis: DVec2| DMat2::from_cols(axis * axis.x, axis * axis.y);
+        outer(along) * long + outer(across) * short
+    }
+
     /// How much of its height the low-pass filter leaves, before any lower bound.
     pub fn amplitude(&self, lowpass_px: f64) -> f64 {
         let left = self.variances.map(|variance| variance / (variance + lowpass_px * lowpass_px));

@@ -1,4 +1,4 @@
-//! The reference renderer: samples and triangles on the CPU in f64 (floor 2a).
+//! The reference renderer: samples, lines and triangles on the CPU in f64 (floor 2a).
 //!
 //! Written for clarity, never for speed, and sharing nothing with the GPU's passes but the scene
 //! types, or it would share their mistakes. An image's error is its distance from this one's.
@@ -7,8 +7,10 @@
 //!    into. A triangle covers a pixel when the ray through the pixel's centre meets it, decided by exact predicates
 //!    (`predicates`), so that neighbours neither overlap nor leave a gap and a triangle through
 //!    the camera plane needs no clipping. The nearest wins; at equal depth the lower instance, then the lower index.
+//!    Lines (`lines`) cover a pixel when that ray meets them.
 //! 2. `blend`: where samples are drawn as splats instead (`splats`, and `footprint` for their shapes in the image), which
 //!    pixels show them before the triangles, and the weighted means of those that make up the nearest surface.
+//!    `pull_push` fills the gaps between samples of one pixel from coarser levels of the image instead, where that is asked for.
 //! 3. `surface`: colour (`texture` included), normal and material where the ray meets the winner.
 //! 4. `shade`: Phong, or the colour as it is.
 //! 5. `edl`: eye-dome lighting, where it is asked for.
@@ -20,8 +22,10 @@ mod blend;
 pub mod color;
 mod edl;
 mod footprint;
+mod lines;
 mod predicates;
 mod prepare;
+mod pull_push;
 mod shade;
 mod splats;
 mod surface;
@@ -45,7 +49,7 @@ use crate::assets::{Geometry, Material, Texture};
 use crate::math::View;
 use crate::scene::clipping::ClipRegion;
 use crate::scene::recolor::Recolor;
-use crate::scene::{Discs, EyeDome, Light, MaterialSpec, Splats};
+use crate::scene::{Discs, EyeDome, Light, MaterialSpec, PullPush, Splats};
 
 use blend::Blended;
 use prepare::Prepared;
@@ -61,6 +65,8 @@ pub struct OracleScene<'a> {
     pub background: [f32; 4],
     /// How samples are drawn as splats; `None` draws one pixel a sample.
     pub splats: Option<Splats>,
+    /// How gaps between samples are filled; takes the place of `splats`.
+    pub pull_push: Option<PullPush>,
     /// Discs that samples are drawn as where `splats` is `None`; `None` for points of one pixel.
     pub discs: Option<Discs>,
     /// Value that colours surfaces in place of their own colours.
@@ -180,11 +186,18 @@ enum Shown {
 fn shown(prepared: &Prepared<'_>, view: &View, fineness: u32) -> Vec<Shown> {
     let hits = visibility::resolve(prepared, view, fineness);
     let or_hit = |hit: Option<Hit>| hit.map_or(Shown::Nothing, Shown::Hit);
+    let fine_view = visibility::finer(view, fineness);
+    if let Some(settings) = &prepared.scene.pull_push {
+        let pulled = pull_push::pulled(prepared, &fine_view, settings, &hits);
+        let shown = |(pulled, hit): (Option<Blended>, Option<Hit>)| {
+            pulled.map_or_else(|| or_hit(hit), Shown::Splats)
+        };
+        return pulled.into_iter().zip(hits).map(shown).collect();
+    }
     let Some(splats) = &prepared.scene.splats else {
         return hits.into_iter().map(or_hit).collect();
     };
     let settings = splats::Settings::new(splats, fineness);
-    let fine_view = visibility::finer(view, fineness);
     let blended = blend::splatted(prepared, &fine_view, &settings, &hits);
     let shown = |(blended, hit): (Option<Blended>, Option<Hit>)| {
         blended.map_or_else(|| or_hit(hit), Shown::Splats)

@@ -77,7 +77,7 @@ impl<'a> PreparedItem<'a> {
         let (x, y, z) = (linear.x_axis, linear.y_axis, linear.z_axis);
         let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y));
         let part_ends = match item.geometry {
-            Geometry::Points(_) => vec![],
+            Geometry::Points(_) | Geometry::Lines(_) => vec![],
             Geometry::Mesh(mesh) => {
                 let ends = mesh.parts.iter().scan(0usize, |end, part| {
                     *end += part.triangles as usize;

@@ -4,16 +4,18 @@ use glam::DVec3;
 
 use crate::scene::Light;
 
-use super::surface::Surface;
+use super::surface::{LitAs, Surface};
 
 /// Linear RGB, not clamped.
 ///
 /// `albedo · Σ ambient + Σ color · (albedo · n·l + specular · max(0, r·v)^shininess)` over the lights in front of
 /// the surface (`n·l > 0`), where `r` is `l` mirrored at the normal and `v` points to the eye. Without
-/// lights, without a normal or when the material is unlit, the albedo.
+/// lights, without a normal or when the material is unlit, the albedo. Ribbons have `|n·l|` in place of `n·l`, and thin lines the
+/// mean over a cylinder ([`line()`]).
 pub fn shade(surface: &Surface, lights: &[Light], eye: DVec3) -> [f64; 3] {
     let normal = surface.normal_world;
-    if lights.is_empty() || surface.unlit || normal == DVec3::ZERO {
+    let is_line = matches!(surface.lit_as, LitAs::Line(_));
+    if lights.is_empty() || surface.unlit || (normal == DVec3::ZERO && !is_line) {
         return surface.albedo;
     }
     let to_eye = (-surface.way).try_normalize().unwrap_or(DVec3::ZERO);
@@ -34,15 +36,36 @@ pub fn shade(surface: &Surface, lights: &[Light], eye: DVec3) -> [f64; 3] {
         };
         let to_light = to_light.try_normalize().unwrap_or(DVec3::ZERO);
         let facing = normal.dot(to_light);
+        let mirrored = 2.0 * facing * normal - to_light;
+        let highlight = mirrored.dot(to_eye).max(0.0).powf(surface.shininess);
+        let (facing, highlight) = match surface.lit_as {
+            LitAs::Solid => (facing, highlight),
+            LitAs::Sheet => (facing.abs(), highlight),
+            LitAs::Line(tangent) => line(tangent, to_light, to_eye, surface.shininess),
+        };
         if facing > 0.0 {
-            let mirrored = 2.0 * facing * normal - to_light;
-            let highlight = mirrored.dot(to_eye).max(0.0).powf(surface.shininess);
             add(&mut sum, color.0, color.1, |channel| {
                 surface.albedo[channel] * facing + surface.specular[channel] * highlight
             });
         }
     }
     sum
+}
+
+/// The mean of `max(0, n·l)` over the visible half of a cylinder, and about that of its highlight (Mallo et al. 2005; Zöckler et al. 1996
+/// take the brightest normal instead). Normals at angles θ from the eye count as they are seen, by cos θ / 2; with the light at φ, the first is
+/// `|l⊥| (sin φ + (π − φ) cos φ) / 4`. A highlight has its peak at φ / 2, where its value is `|l⊥| |v⊥| − (l·t)(v·t)`, and falls off around it like
+/// a Gaussian of variance `1 / (4 shininess)`; one more than the exponent keeps the mean of wide ones finite.
+fn line(tangent: DVec3, to_light: DVec3, to_eye: DVec3, shininess: f64) -> (f64, f64) {
+    let (lt, vt) = (to_light.dot(tangent), to_eye.dot(tangent));
+    let across = |along: f64| (1.0 - along * along).max(0.0).sqrt();
+    let (l, v) = (across(lt), across(vt));
+    let cosine = ((to_light.dot(to_eye) - lt * vt) / (l * v).max(1e-12)).clamp(-1.0, 1.0);
+    let angle = cosine.acos();
+    let mean = l * 0.25 * (angle.sin() + (std::f64::consts::PI - angle) * cosine);
+    let peak = (l * v - lt * vt).max(0.0).powf(shininess);
+    let width = (std::f64::consts::PI / (2.0 * shininess + 2.0)).sqrt();
+    (mean, peak * 0.5 * width * (0.5 * angle).cos())
 }
 
 fn add(sum: &mut [f64; 3], color: [f32; 3], strength: f64, reflected: impl Fn(usize) -> f64) {

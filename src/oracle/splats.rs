@@ -270,13 +270,13 @@ fn normal(cloud: &PointCloud, index: usize) -> Option<DVec3> {
 }
 
 /// The part of the kernel that is kept. One that turns with the eye has no axes for lines to refer to.
-fn clip(cloud: &PointCloud, index: usize) -> Clip {
+pub(super) fn clip(cloud: &PointCloud, index: usize) -> Clip {
     let clip = cloud.clips.as_ref().and_then(|clips| clips.get(index));
     normal(cloud, index).and(clip).copied().unwrap_or(Clip::NONE)
 }
 
 /// The kernel's axes in camera space, before the scene's width.
-fn tangents(
+pub(super) fn tangents(
     item: &PreparedItem<'_>,
     cloud: &PointCloud,
     index: usize,

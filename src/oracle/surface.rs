@@ -9,8 +9,8 @@ use crate::scene::recolor::{NO_VALUE, Recolor, instance_color, share};
 
 use super::color::linear_from_srgba8;
 use super::prepare::{Prepared, PreparedItem};
-use super::texture;
 use super::visibility::{Hit, SeenTriangle, pixel_ray};
+use super::{lines, texture};
 
 /// sRGB grey of samples without colour.
 const SAMPLE_GREY: u8 = 204;
@@ -30,6 +30,18 @@ pub struct Surface {
     pub specular: [f64; 3],
     pub shininess: f64,
     pub unlit: bool,
+    pub lit_as: LitAs,
+}
+
+/// How a surface reflects light.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum LitAs {
+    /// As its normal says.
+    Solid,
+    /// From both sides alike: a ribbon.
+    Sheet,
+    /// As the mean over the visible half of a thin cylinder, whose axis has this direction in world axes.
+    Line(DVec3),
 }
 
 impl Surface {
@@ -72,6 +84,7 @@ pub fn at(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: usize) -
             sample(view, item, prepared.scene.recolor.as_ref(), (cloud, hit.index), seen)
         }
         Geometry::Mesh(mesh) => triangle(prepared, view, item, mesh, (hit, x, y)),
+        Geometry::Lines(lines) => lines::surface(prepared, view, item, lines, (hit, x, y)),
     };
     surface.turn_to_eye();
     surface
@@ -172,7 +185,7 @@ fn triangle(
 }
 
 /// The material with the node's own laid over it.
-fn overridden(item: &PreparedItem<'_>, own: &Material) -> Material {
+pub fn overridden(item: &PreparedItem<'_>, own: &Material) -> Material {
     let mut material = own.clone();
     if let Some(over) = item.item.override_material {
         material.base_color = over.base_color.unwrap_or(material.base_color);
@@ -183,7 +196,7 @@ fn overridden(item: &PreparedItem<'_>, own: &Material) -> Material {
     material
 }
 
-fn surface(
+pub fn surface(
     [r, g, b, alpha]: [f64; 4],
     (view, position_view): (&View, DVec3),
     normal: DVec3,
@@ -199,6 +212,7 @@ fn surface(
         specular: material.specular.map(f64::from),
         shininess: f64::from(material.shininess),
         unlit: material.unlit,
+        lit_as: LitAs::Solid,
     }
 }
 

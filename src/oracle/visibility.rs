@@ -10,7 +10,7 @@ use crate::math::{Projection, View};
 
 use super::predicates::{edge_sign, volume_sign};
 use super::prepare::{Prepared, PreparedItem};
-use super::surface;
+use super::{lines, surface};
 
 /// The element that covers a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,7 +19,7 @@ pub struct Hit {
     pub depth: f64,
     /// Number of the item in the scene.
     pub item: u32,
-    /// Number of the sample or triangle in its geometry.
+    /// Number of the sample or triangle in its geometry, or of the first vertex of the line's segment.
     pub index: u32,
 }
 
@@ -76,8 +76,7 @@ impl SeenTriangle {
     }
 
     /// Pixels `[x0, x1) × [y0, y1)` that hold every covered one; `None` when it lies behind the eye.
-    fn pixel_box(&self, view: &View) -> Option<[usize; 4]> {
-        let (width, height) = (f64::from(view.width), f64::from(view.height));
+    pub fn pixel_box(&self, view: &View) -> Option<[usize; 4]> {
         if self.corners.iter().all(|corner| corner.z >= 0.0) {
             return None;
         }
@@ -85,17 +84,22 @@ impl SeenTriangle {
         let [Some(a), Some(b), Some(c)] = projected else {
             return Some([0, view.width as usize, 0, view.height as usize]);
         };
-        // One pixel more on every side than the rounded projection asks for. NaN (from an overflow) clamps to the frame.
-        let low = a.min(b).min(c) - 1.0;
-        let high = a.max(b).max(c) + 1.0;
-        let range = |low: f64, high: f64, size: f64| {
-            let low = if low > 0.0 { low.min(size) } else { 0.0 };
-            let high = if high < size { high.max(0.0) } else { size };
-            (low.floor() as usize, high.ceil() as usize)
-        };
-        let ((x0, x1), (y0, y1)) = (range(low.x, high.x, width), range(low.y, high.y, height));
-        Some([x0, x1, y0, y1])
+        Some(pixels_between(view, a.min(b).min(c), a.max(b).max(c)))
     }
+}
+
+/// Pixels `[x0, x1) × [y0, y1)` of a view that hold all centres between two places of the image.
+pub fn pixels_between(view: &View, low: DVec2, high: DVec2) -> [usize; 4] {
+    let (width, height) = (f64::from(view.width), f64::from(view.height));
+    // One pixel more on every side than the rounded projection asks for. NaN (from an overflow) clamps to the frame.
+    let (low, high) = (low - 1.0, high + 1.0);
+    let range = |low: f64, high: f64, size: f64| {
+        let low = if low > 0.0 { low.min(size) } else { 0.0 };
+        let high = if high < size { high.max(0.0) } else { size };
+        (low.floor() as usize, high.ceil() as usize)
+    };
+    let ((x0, x1), (y0, y1)) = (range(low.x, high.x, width), range(low.y, high.y, height));
+    [x0, x1, y0, y1]
 }
 
 /// The ray through a pixel's centre in view space, with z = −1.
@@ -111,6 +115,7 @@ pub fn resolve(prepared: &Prepared<'_>, view: &View, fineness: u32) -> Vec<Optio
     for (number, item) in prepared.items.iter().enumerate() {
         if let Geometry::Points(cloud) = item.item.geometry
             && prepared.scene.splats.is_none()
+            && prepared.scene.pull_push.is_none()
         {
             add_samples(prepared, view, &mut coarse, (number as u32, item, cloud));
         }
@@ -123,6 +128,9 @@ pub fn resolve(prepared: &Prepared<'_>, view: &View, fineness: u32) -> Vec<Optio
     for (number, item) in prepared.items.iter().enumerate() {
         if let Geometry::Mesh(mesh) = item.item.geometry {
             add_triangles(prepared, &fine_view, &mut fine, (number as u32, item, mesh));
+        }
+        if let Geometry::Lines(lines) = item.item.geometry {
+            lines::add(prepared, &fine_view, &mut fine, (number as u32, item, lines));
         }
     }
     fine
@@ -140,7 +148,7 @@ pub fn finer(view: &View, n: u32) -> View {
 }
 
 /// Keeps the nearer of two hits.
-fn keep_nearer(prepared: &Prepared<'_>, kept: &mut Option<Hit>, hit: Hit) {
+pub fn keep_nearer(prepared: &Prepared<'_>, kept: &mut Option<Hit>, hit: Hit) {
     let order = |hit: &Hit| (prepared.instance(hit), hit.index, hit.item);
     let nearer = match kept {
         None => true,

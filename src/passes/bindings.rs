@@ -15,12 +15,14 @@ pub struct Names<'a> {
     pub uniforms: &'a GroupUniforms,
     /// The segment that a pass draws, if it draws one.
     pub segment: Option<usize>,
+    /// The level of the pyramid that a pass makes.
+    pub level: usize,
 }
 
 impl<'a> Names<'a> {
     /// The buffer that a shader means by `name`, and its dynamic offset.
     pub fn find(&self, name: &str) -> Option<(Binding<'a>, u32)> {
-        let Names { scratch, residency, scene, uniforms, segment } = *self;
+        let Names { scratch, residency, scene, uniforms, segment, level } = *self;
         let buffer: &Buffer = match name {
             "frames" => {
                 let window = Binding::Window(scratch.uniforms.buffer(), VIEWS_WINDOW);
@@ -28,6 +30,10 @@ impl<'a> Names<'a> {
             }
             "segment" => {
                 let offset = *uniforms.segments.get(segment?)?;
+                return Some((Binding::Window(scratch.uniforms.buffer(), SEGMENT_WINDOW), offset));
+            }
+            "level" => {
+                let offset = *uniforms.levels.get(level)?;
                 return Some((Binding::Window(scratch.uniforms.buffer(), SEGMENT_WINDOW), offset));
             }
             "few_lights" => {
@@ -39,6 +45,10 @@ impl<'a> Names<'a> {
             "sums_1" => scratch.sums[1].buffer(),
             "sums_2" => scratch.sums[2].buffer(),
             "sums_3" => scratch.sums[3].buffer(),
+            "patches_0" => scratch.patches[0].buffer(),
+            "patches_1" => scratch.patches[1].buffer(),
+            "patches_2" => scratch.patches[2].buffer(),
+            "patches_3" => scratch.patches[3].buffer(),
             "layers" => scratch.layers.buffer(),
             "pixels" => scratch.pixels.buffer(),
             "normals" => scratch.normals.buffer(),

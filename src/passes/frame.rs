@@ -54,7 +54,7 @@ pub struct FrameTask {
     pub edl: Option<EyeDome>,
     /// Linear RGB and straight alpha of pixels that show nothing.
     pub background: [f32; 4],
-    /// Entries that such a frame may list.
+    /// Maximum number of entries that a frame of point trees may list.
     pub entry_capacity: u32,
 }
 
@@ -130,7 +130,9 @@ impl FrameTask {
 
     /// Whether the error of a node depends on the angle at which it is seen. Points cover one pixel at any angle, so it never does for them.
     pub fn splits_errors(&self) -> bool {
-        self.reconstruction.is_splats() && self.error_mode == ErrorMode::Split
+        let as_splats =
+            self.reconstruction.is_splats() && self.reconstruction.pull_push().is_none();
+        as_splats && self.error_mode == ErrorMode::Split
     }
 
     /// Whether samples have the colours of a scalar field.
@@ -205,7 +207,7 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
             _ => 0.0,
         },
         splat_width: splats.map_or(0.0, |splats| splats.width),
-        splat_offset: task.reconstruction.weighted().map_or(0.0, |splats| splats.depth_offset),
+        splat_offset: task.reconstruction.depth_offset(),
         slab_near: slabs.near as f32,
         slab_per_unit: slabs.per_unit as f32,
         slab_meet: slabs.meet as f32,

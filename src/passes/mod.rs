@@ -11,6 +11,7 @@
 
 mod bindings;
 mod frame;
+mod levels;
 mod pipelines;
 mod prime;
 mod project;
@@ -26,11 +27,12 @@ mod slabs;
 mod uniforms;
 
 pub use frame::{FrameTask, frame_record, srgb8};
+pub use levels::Levels;
 pub use pipelines::{Pipelines, Variant, common, read_variants, write_variants};
 pub use prime::Prime;
 pub use record::record;
 pub use recorder::{Context, PassSpan};
-pub use scratch::{LAYERS_BYTES, Scratch};
+pub use scratch::{LAYERS_BYTES, PATCH_BYTES, Scratch};
 pub use slabs::Slabs;
 pub use uniforms::{GroupUniforms, Uniforms};
 

@@ -37,8 +37,8 @@ pub fn record(
     let recorder = &mut Recorder::new(context, encoder, task, scene, uniforms);
     for step in task.plan.steps() {
         recorder.stage = step.stage;
-        for segment in recorder.segments_of(step.per) {
-            recorder.segment = segment;
+        for (segment, level) in recorder.rounds_of(step.per) {
+            (recorder.segment, recorder.level) = (segment, level);
             if segment.is_some() {
                 // The list of what is large is the segment's own: its ids mean elements of one page.
                 recorder.empty_list();

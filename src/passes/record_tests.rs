@@ -2,7 +2,7 @@
 
 use naga::{Expression, Handle, Literal, Module};
 
-use crate::bake::pack::{CHUNK, GeometryKind, NO_NORMAL, VERTEX_WORDS};
+use crate::bake::pack::{BEGINS, CHUNK, ENDS, GeometryKind, LINE_WORDS, NO_NORMAL, VERTEX_WORDS};
 use crate::gpu::shader::parse;
 use crate::passes::frame::output_number;
 use crate::passes::project::LANES;
@@ -94,6 +94,7 @@ fn rows_of_dispatches_are_as_long() {
         "select/compact",
         "project/project_samples",
         "project/project_triangles",
+        "project/project_lines",
     ];
     for root in roots {
         assert_eq!(scalar(&module(root), "DISPATCH_ROW"), DISPATCH_ROW, "{root}");
@@ -109,7 +110,12 @@ fn groups_of_entries_are_as_long() {
 
 #[test]
 fn tiles_are_as_large() {
-    for root in ["resolve/resolve_samples", "resolve/resolve_triangles", "resolve/write_output"] {
+    for root in [
+        "resolve/resolve_samples",
+        "resolve/resolve_triangles",
+        "resolve/resolve_lines",
+        "resolve/write_output",
+    ] {
         assert_eq!(vector(&module(root), "TILE"), [TILE.0, TILE.1], "{root}");
     }
 }
@@ -119,6 +125,7 @@ fn the_walk_has_as_many_threads() {
     for root in [
         "project/walk_triangles",
         "project/walk_splats",
+        "project/walk_lines",
         "reconstruct/blend_walked",
         "reconstruct/fuzzy_walked",
     ] {
@@ -140,6 +147,9 @@ fn packing_is_read_as_it_is_written() {
     let triangles = module("resolve/resolve_triangles");
     assert_eq!(scalar(&triangles, "VERTEX_WORDS") as usize, VERTEX_WORDS);
     assert_eq!(scalar(&triangles, "NO_NORMAL"), NO_NORMAL);
+    let lines = module("resolve/resolve_lines");
+    assert_eq!(scalar(&lines, "LINE_WORDS") as usize, LINE_WORDS);
+    assert_eq!([scalar(&lines, "LINE_BEGINS"), scalar(&lines, "LINE_ENDS")], [BEGINS, ENDS]);
     // A word of the visibility buffer names a slot and one of its chunk's elements.
     assert_eq!(1 << scalar(&triangles, "SLOT_SHIFT"), CHUNK);
     assert_eq!(scalar(&triangles, "SLOT_MASK") as usize, CHUNK - 1);

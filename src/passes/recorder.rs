@@ -5,6 +5,7 @@ use std::rc::Rc;
 
 use super::bindings::Names;
 use super::frame::FrameTask;
+use super::levels::Levels;
 use super::pipelines::{Constants, Pipelines};
 use super::scratch::Scratch;
 use super::shaders::{Choices, Portion, Visibility};
@@ -52,6 +53,8 @@ pub struct Recorder<'a, 'c> {
     pub stage: Stage,
     /// The segment that the pass is recorded for, if it is for one.
     pub segment: Segment,
+    /// The level of the pyramid that the pass is recorded for, if it is for one; else 0.
+    pub level: usize,
     pub spans: Vec<PassSpan>,
 }
 
@@ -103,16 +106,28 @@ impl<'a, 'c> Recorder<'a, 'c> {
         scene: &'a ResidentScene,
         uniforms: &'a GroupUniforms,
     ) -> Self {
-        let (pass, stage, segment) = (Pass::Clear, Stage::Select, None);
-        Self { context, encoder, scene, task, uniforms, pass, stage, segment, spans: Vec::new() }
+        let (pass, stage, segment, level) = (Pass::Clear, Stage::Select, None, 0);
+        let spans = Vec::new();
+        Self { context, encoder, scene, task, uniforms, pass, stage, segment, level, spans }
     }
 
-    /// Returns the segments that a pass is recorded for, one after the other; `None` stands for the whole frame.
-    pub fn segments_of(&self, per: Per) -> Vec<Segment> {
+    /// Returns the segments and levels that a pass is recorded for, one after the other; no segment stands for the whole frame.
+    pub fn rounds_of(&self, per: Per) -> Vec<(Segment, usize)> {
+        let coarser = || (0..self.levels().count().saturating_sub(1)).map(|level| (None, level));
         match per {
-            Per::Frame => vec![None],
-            Per::Segment(kind) => self.segments(&[kind]),
+            Per::Frame => vec![(None, 0)],
+            Per::Segment(kind) => {
+                self.segments(&[kind]).into_iter().map(|segment| (segment, 0)).collect()
+            }
+            Per::Coarser => coarser().collect(),
+            // The image itself is completed where it is resolved.
+            Per::Finer => coarser().skip(1).rev().collect(),
         }
+    }
+
+    /// The levels of the image.
+    pub fn levels(&self) -> Levels {
+        Levels::of(self.task.size())
     }
 
     /// How the pass writes the visibility buffer.
@@ -307,6 +322,7 @@ impl<'a, 'c> Recorder<'a, 'c> {
             scene: self.scene,
             uniforms: self.uniforms,
             segment,
+            level: self.level,
         };
         let mut out = Vec::with_capacity(GROUPS);
         for (layout, slots) in layouts.iter().zip(bindings) {

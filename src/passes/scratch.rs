@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 
 use super::frame::FrameTask;
+use super::levels::Levels;
 use crate::gpu::Gpu;
 use crate::gpu::buffer;
 use crate::plan::{FramePlan, Pass};
@@ -21,6 +22,8 @@ pub struct Scratch {
     pub sums: [buffer::Scratch; 4],
     /// Words of splats that are blended in a single pass; see `shared/slabs`.
     pub layers: buffer::Scratch,
+    /// Levels of pull-push: two words for each pixel of each level in each buffer; see `shared/patches`.
+    pub patches: [buffer::Scratch; 4],
     pub stats: buffer::Scratch,
     pub placed: buffer::Scratch,
     pub seen: buffer::Scratch,
@@ -64,6 +67,9 @@ const MOST_BACKGROUNDS: usize = 32;
 /// Bytes that each pixel takes where splats are blended in a single pass: two words.
 pub const LAYERS_BYTES: u64 = 16;
 
+/// Bytes of a patch in each buffer of pull-push.
+pub const PATCH_BYTES: u64 = 8;
+
 /// Side of a block of the hierarchical depth buffer, and the words of its record; as in `shared/pyramid`.
 pub const BLOCK_PX: u32 = 16;
 pub const BLOCK_WORDS: u32 = 17;
@@ -97,6 +103,7 @@ impl Scratch {
             normals: make("normals"),
             sums: ["sums_0", "sums_1", "sums_2", "sums_3"].map(make),
             layers: make("layers"),
+            patches: ["patches_0", "patches_1", "patches_2", "patches_3"].map(make),
             stats: make("stats"),
             placed: make("placed"),
             seen: make("seen"),
@@ -134,7 +141,12 @@ impl Scratch {
     /// Bytes of the largest buffer that one view needs.
     pub fn largest(scene: &ResidentScene, (width, height): (u32, u32), plan: &FramePlan) -> u64 {
         let bytes = if plan.runs(Pass::ResolveFuzzy) { LAYERS_BYTES } else { 8 };
+        let patches = match plan.runs(Pass::Pull) {
+            true => Levels::of((width, height)).pixels() * PATCH_BYTES,
+            false => 0,
+        };
         let bytes = [
+            patches,
             u64::from(width) * u64::from(height) * bytes,
             u64::from(scene.instance_end) * size_of::<GpuPlaced>() as u64,
             u64::from(scene.entries(ENTRIES_INITIAL).1) * size_of::<GpuSlot>() as u64,
@@ -156,6 +168,11 @@ impl Scratch {
         }
         if task.plan.runs(Pass::ResolveFuzzy) {
             self.layers.reserve(gpu, pixels * LAYERS_BYTES);
+        }
+        if task.plan.runs(Pass::Pull) {
+            for patches in &mut self.patches {
+                patches.reserve(gpu, views * Levels::of((width, height)).pixels() * PATCH_BYTES);
+            }
         }
         self.stats.reserve(gpu, views * size_of::<GpuStats>() as u64);
         let instances = views * u64::from(scene.instance_end);

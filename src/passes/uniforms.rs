@@ -1,8 +1,10 @@
 //! Uniform words of a batch, written to the GPU in one go before the submission.
 
 use super::frame::{FrameTask, frame_record};
+use super::levels::Levels;
 use super::scratch::Scratch;
 use crate::gpu::Gpu;
+use crate::plan::Pass;
 use crate::residency::ResidentScene;
 use crate::residency::layout::{GpuFrame, MOST_VIEWS};
 
@@ -10,7 +12,7 @@ use crate::residency::layout::{GpuFrame, MOST_VIEWS};
 const ALIGN: usize = 256;
 /// Size of the window that a shader binds as the views' records, however many there are.
 pub const VIEWS_WINDOW: u64 = MOST_VIEWS as u64 * size_of::<GpuFrame>() as u64;
-/// Size of the window that a shader binds as its segment.
+/// Size of the window that a shader binds as its segment, or as its level.
 pub const SEGMENT_WINDOW: u64 = 16;
 
 #[derive(Default)]
@@ -18,11 +20,12 @@ pub struct Uniforms {
     bytes: Vec<u8>,
 }
 
-/// Where the records of one group lie: those of its views, then one a segment.
+/// Where the records of one group lie: those of its views, then one a segment, then one a level.
 #[derive(Clone, Debug)]
 pub struct GroupUniforms {
     pub views: u32,
     pub segments: Vec<u32>,
+    pub levels: Vec<u32>,
 }
 
 impl Uniforms {
@@ -40,7 +43,12 @@ impl Uniforms {
         let views = self.push(&records);
         let segments =
             (0..scene.pages.len() as u32).map(|index| self.push(&[index, 0, 0, 0])).collect();
-        GroupUniforms { views, segments }
+        // A frame of one pixel has no coarser level, and no gap either.
+        let levels = match task.plan.runs(Pass::Pull) {
+            true => Levels::of(task.size()).records().map(|record| self.push(&record)).collect(),
+            false => Vec::new(),
+        };
+        GroupUniforms { views, segments, levels }
     }
 
     pub fn write(&self, gpu: &Gpu, scratch: &mut Scratch) {

@@ -3,6 +3,9 @@
 //! Points leave a pixel empty where no sample falls into it: `e^(-1/s²)` of a randomly sampled surface whose samples lie `s`
 //! pixels apart, 2 % at half a pixel and 37 % at one. [`choose`] draws splats where more than a tenth of what samples cover has more
 //! holes than at [`DENSE_PX`]: the median would let the sparse parts of an uneven scan be riddled with holes.
+//!
+//! Where samples lie [`WIDE_PX`] apart and more and cover much of the picture, pull-push closes the surface sooner than splats do: splats touch each of
+//! their pixels about eleven times, and pull-push has a fixed cost for each pixel. `docs/pull-push.md` has the times.
 
 use crate::bake::spacing::Patch;
 use crate::math::View;
@@ -15,6 +18,10 @@ const COARSE_PX: f64 = 1.0;
 pub const DENSE_PX: f64 = 0.6;
 /// Share of the area covered by samples that has to be at least as dense.
 const DENSE_SHARE: f64 = 0.9;
+/// Samples that lie farther apart, in pixels, are drawn by pull-push.
+const WIDE_PX: f64 = 8.0;
+/// Share of the picture that they have to cover.
+const WIDE_SHARE: f64 = 0.25;
 /// Farther apart, samples cover no more of the picture: strays in an empty sky do not decide how the rest is drawn.
 const SPARSE_PX: f64 = 3.0;
 /// Diameter of discs in distances between neighbouring samples: on a randomly sampled surface they leave 4 % of the pixels empty.
@@ -31,6 +38,10 @@ pub struct Grounds {
     pub has_samples: bool,
     /// Distance between neighbouring samples in pixels, as [`spacing_px`] tells; `None` where none is in view.
     pub spacing_px: Option<f64>,
+    /// Share of the picture that samples cover, as [`covered_share`] tells.
+    pub covered: f64,
+    /// Settings of splats are those of the scene, and no kernel has clip lines.
+    pub are_splats_plain: bool,
     /// Error that `lod=spt` may have.
     pub accepted_px: f32,
     /// Kernels of all samples are there; without them nothing but points can be drawn.
@@ -58,6 +69,8 @@ pub enum Reason {
     Dense,
     /// Samples leave pixels empty.
     Sparse,
+    /// They leave so many empty that splats would take longer than pull-push.
+    Wide,
     /// Nodes of point trees are as small as pixels.
     Fine,
     /// Nodes of point trees leave pixels empty, since errors of so many pixels are accepted.
@@ -89,7 +102,7 @@ impl Choice {
             Reason::PointSize => "a size of points was given".to_owned(),
             Reason::NoKernels => "kernels are not estimated yet".to_owned(),
             Reason::NothingInView => "no sample is in view".to_owned(),
-            Reason::Dense | Reason::Sparse => apart(),
+            Reason::Dense | Reason::Sparse | Reason::Wide => apart(),
             Reason::Fine => "nodes of point trees are as small as pixels".to_owned(),
             Reason::Coarse { accepted_px } => {
                 format!("nodes of point trees may be {accepted_px} px wide")
@@ -98,13 +111,16 @@ impl Choice {
     }
 }
 
-/// Chooses between points and splats. Every frame with `reconstruct=auto` is decided here.
+/// Chooses between points, splats and pull-push. Every frame with `reconstruct=auto` is decided here.
 pub fn choose(grounds: &Grounds) -> Choice {
     let coarse = grounds.lod == Lod::Spt && f64::from(grounds.accepted_px) > COARSE_PX;
+    let is_wide =
+        |px: f64| px > WIDE_PX && grounds.covered >= WIDE_SHARE && grounds.are_splats_plain;
     let (reconstruct, reason) = match grounds.spacing_px {
         _ if !grounds.has_samples => (Reconstruct::Points, Reason::NoSamples),
         _ if grounds.has_point_size => (Reconstruct::Points, Reason::PointSize),
         _ if !grounds.has_kernels => (Reconstruct::Points, Reason::NoKernels),
+        Some(px) if is_wide(px) => (Reconstruct::PullPush, Reason::Wide),
         Some(px) if px > DENSE_PX => (Reconstruct::Splats, Reason::Sparse),
         _ if coarse => (Reconstruct::Splats, Reason::Coarse { accepted_px: grounds.accepted_px }),
         Some(_) => (Reconstruct::Points, Reason::Dense),
@@ -140,6 +156,17 @@ pub fn spacing_px(patches: &[Patch], view: &View) -> Option<f64> {
         sum >= dense
     });
     reached.map(|(px, _)| *px)
+}
+
+/// Returns the share of a picture that samples cover, each a square of its spacing; 1 at most.
+pub fn covered_share(patches: &[Patch], view: &View) -> f64 {
+    let pixels = f64::from(view.width) * f64::from(view.height);
+    let covered: f64 = patches
+        .iter()
+        .filter_map(|patch| in_view(patch, view))
+        .map(|(px, count)| (count * px * px).min(pixels))
+        .sum();
+    (covered / pixels).min(1.0)
 }
 
 /// The spacing of a patch in pixels, and how many of its samples or triangles lie within the image, roughly. `None` if none does.
@@ -195,6 +222,8 @@ mod tests {
             lod: Lod::Full,
             has_samples: true,
             spacing_px,
+            covered: 1.0,
+            are_splats_plain: true,
             accepted_px: 1.0,
             has_kernels: true,
             has_point_size: false,
@@ -235,6 +264,17 @@ mod tests {
     }
 
     #[test]
+    fn the_share_that_samples_cover_follows_from_their_spacing() {
+        let view = view(10.0, 1000);
+        // A thousand samples, 1 and 20 pixels apart.
+        let share = |spacing| covered_share(&[patch(DVec3::ZERO, spacing)], &view);
+        assert!((share(0.01) - 1000.0 / 1_333_000.0).abs() < 1e-5, "{}", share(0.01));
+        assert!((share(0.2) - 400_000.0 / 1_333_000.0).abs() < 1e-3, "{}", share(0.2));
+        assert_eq!(share(2.0), 1.0);
+        assert_eq!(covered_share(&[], &view), 0.0);
+    }
+
+    #[test]
     fn what_holds_the_eye_is_in_view() {
         let around = Patch { centre: DVec3::Z * 10.2, radius: 4.0, spacing: 0.01, count: 1e5 };
         assert!(spacing_px(&[around], &view(10.0, 1000)).unwrap() > DENSE_PX);
@@ -257,6 +297,15 @@ mod tests {
         assert_eq!(drawn(&coarse), (Reconstruct::Splats, reason));
         let of_mesh = Grounds { lod: Lod::Spt, ..grounds(None) };
         assert_eq!(drawn(&of_mesh), (Reconstruct::Points, Reason::Fine));
+        let wide = grounds(Some(9.0));
+        assert_eq!(drawn(&wide), (Reconstruct::PullPush, Reason::Wide));
+        for other in [
+            Grounds { covered: 0.2, ..wide },
+            Grounds { are_splats_plain: false, ..wide },
+            Grounds { spacing_px: Some(7.9), ..wide },
+        ] {
+            assert_eq!(drawn(&other), (Reconstruct::Splats, Reason::Sparse), "{other:?}");
+        }
         let fine = Grounds { accepted_px: 1.0, ..coarse };
         assert_eq!(drawn(&fine), (Reconstruct::Points, Reason::Dense));
     }

@@ -8,11 +8,11 @@
 //! decreases before full detail takes over: to a quarter of the accepted one, over the last quarter of an octave of distance, where
 //! what still differs is small. That costs up to twice the time of full detail there.
 
-use super::{MaxError, Reconstruct, Settings, auto};
+use super::{MaxError, Settings, auto};
 use crate::bake::spacing::Patch;
 use crate::math::View;
 
-/// Samples and triangles of a scene, and its instances, up to which full detail may be drawn: it is kept in GPU memory beside the trees, and
+/// Samples, triangles and segments of a scene, and its instances, up to which full detail may be drawn: it is kept in GPU memory beside the trees, and
 /// what lies outside of the image costs time there too.
 const MOST_ELEMENTS: u64 = 8_000_000;
 const MOST_INSTANCES: u64 = 1024;
@@ -21,6 +21,8 @@ const MOST_INSTANCES: u64 = 1024;
 const LISTING_NS: f64 = 1.5e6;
 /// Time of a triangle of a mesh, in ns.
 const TRIANGLE_NS: f64 = 15.0;
+/// Time of a segment of a line that covers few pixels, in ns.
+const SEGMENT_NS: f64 = 130.0;
 /// Time of a splat for each square pixel of the square of its radius, in ns.
 const SPLAT_AREA_NS: f64 = 8.0;
 /// Time of the tree over that of full detail from which on the error decreases.
@@ -30,8 +32,11 @@ const LEAST_SHARE: f64 = 0.25;
 /// `κ`: where nodes are chosen by their size, or stand for triangles, and where they are chosen by their error.
 const NODES_BY_SIZE: f64 = 1.9;
 const NODES_BY_ERROR: f64 = 1.6;
+/// Segments of levels of detail in place of `n` that bend away by `b` pixels each: `n · κ (b / e)^p`.
+const BENDS: f64 = 1.0;
+const BENDS_POWER: f64 = 1.1;
 
-/// What an element costs by the way that samples are drawn, in ns.
+/// Cost of an element by the way that samples are drawn, in ns.
 struct Cost {
     /// A sample of full detail that is drawn.
     full: f64,
@@ -63,8 +68,9 @@ pub enum Detail {
 pub struct DetailGrounds<'a> {
     pub samples: &'a [Patch],
     pub triangles: &'a [Patch],
+    pub segments: &'a [Patch],
     pub view: &'a View,
-    /// Samples and triangles of the scene.
+    /// Samples, triangles and segments of the scene.
     pub elements: u64,
     pub instances: u64,
     /// How the frame would be drawn at full detail, and from trees. Neither leaves open how samples are drawn.
@@ -73,19 +79,18 @@ pub struct DetailGrounds<'a> {
 }
 
 /// Returns the largest radius of a node, in pixels, that is drawn as a point. A disc about a node covers all leaves below it, and so it may
-/// reach beyond them by twice its radius: that is half of the accepted error, but no less than the pixel that a point fills anyway. A single
-/// pixel stands for a node of the whole error. With three quarters of it, the checkerboard of the audit has 39 pixels in place of 676 (of
-/// 165,846) that full detail fills and points of one pixel's error leave empty, but distant copies of flat things are 1.8 times as bright
-/// as they are.
+/// reach beyond them by twice its radius: that is half of the accepted error, but no less than the pixel that a point fills anyway. Up to an
+/// error of one pixel, a node of the whole error is drawn in the pixels whose centres it covers. With three quarters of the error, distant
+/// copies of flat things are 1.8 times as bright as they are.
 pub fn point_error_px(accepted_px: f32, are_discs: bool) -> f32 {
     if are_discs { (0.5 * accepted_px).max(accepted_px.min(1.0)) } else { accepted_px }
 }
 
 fn cost_of(settings: &Settings) -> Cost {
-    match settings.reconstruct {
-        Reconstruct::Points if settings.discs().is_none() => POINTS,
-        Reconstruct::Points => DISCS,
-        _ => SPLATS,
+    match (settings.draws_points(), settings.discs()) {
+        (true, None) => POINTS,
+        (true, Some(_)) => DISCS,
+        (false, _) => SPLATS,
     }
 }
 
@@ -114,31 +119,44 @@ fn seen(patches: &[Patch], view: &View, width: f64, node_px: f64) -> Seen {
     })
 }
 
+fn seen_segments(patches: &[Patch], view: &View, node_px: f64) -> Seen {
+    let seen = patches.iter().filter_map(|patch| auto::in_view(patch, view));
+    seen.fold(Seen::default(), |sum, (bend_px, count)| Seen {
+        elements: sum.elements + count,
+        nodes: sum.nodes + count * (BENDS * (bend_px / node_px).powf(BENDS_POWER)).min(1.0),
+        ..sum
+    })
+}
+
 /// Decides whether a frame with `lod=spt` is drawn from point trees, and with which error.
 pub fn choose(grounds: &DetailGrounds<'_>) -> Detail {
-    let accepted = grounds.tree.max_error_px;
+    let accepted = grounds.tree.accepted_error();
     let accepted_px = accepted.px();
     if grounds.instances > MOST_INSTANCES || grounds.elements > MOST_ELEMENTS {
         return Detail::Tree { error: accepted };
     }
-    let by_size = grounds.tree.reconstruct == Reconstruct::Points;
+    let by_size = grounds.tree.draws_points();
     let node_px =
         if by_size { point_error_px(accepted_px, accepted_px > 1.0) } else { accepted_px };
     let (node_px, view) = (f64::from(node_px), grounds.view);
     let width = if by_size { NODES_BY_SIZE } else { NODES_BY_ERROR };
     let samples = seen(grounds.samples, view, width, node_px);
     let triangles = seen(grounds.triangles, view, NODES_BY_SIZE, node_px);
+    let segments = seen_segments(grounds.segments, view, node_px);
     let (full, tree) = (cost_of(grounds.full), cost_of(grounds.tree));
-    let full_ns =
-        full.full * samples.elements + full.area * samples.area + TRIANGLE_NS * triangles.elements;
+    let full_ns = full.full * samples.elements
+        + full.area * samples.area
+        + TRIANGLE_NS * triangles.elements
+        + SEGMENT_NS * segments.elements;
     let tree_ns = tree.node * samples.nodes
         + tree.node_of_mesh * triangles.nodes
+        + SEGMENT_NS * segments.nodes
         + tree.area * (samples.area_of_nodes + triangles.area_of_nodes)
         + LISTING_NS;
     if tree_ns >= full_ns {
         let because = format!(
-            "the {:.0} samples and triangles in view are drawn sooner than nodes are chosen in their place",
-            samples.elements + triangles.elements
+            "the {:.0} samples, triangles and segments in view are drawn sooner than nodes are chosen in their place",
+            samples.elements + triangles.elements + segments.elements
         );
         return Detail::Full { because };
     }
@@ -150,122 +168,4 @@ pub fn choose(grounds: &DetailGrounds<'_>) -> Detail {
 }
 
 #[cfg(test)]
-mod tests {
-    use glam::DVec3;
-
-    use super::*;
-    use crate::math::{Camera, Lens};
-    use crate::plan::Lod;
-
-    /// A frame of 512² pixels, in which a unit is 512 pixels wide.
-    fn view() -> View {
-        let camera = Camera {
-            eye: DVec3::Z,
-            target: DVec3::ZERO,
-            up: DVec3::Y,
-            lens: Lens::Perspective { fov_deg: 53.130_102 },
-        };
-        camera.view(512, 512).unwrap()
-    }
-
-    fn patch(count: f64, spacing_px: f64) -> Patch {
-        Patch { centre: DVec3::ZERO, radius: 0.01, spacing: spacing_px / 512.0, count }
-    }
-
-    fn settings(reconstruct: Reconstruct, error_px: f32) -> Settings {
-        let max_error_px = MaxError::new(error_px).unwrap();
-        Settings { reconstruct, max_error_px, lod: Lod::Spt, ..Settings::default() }
-    }
-
-    fn decide(samples: &[Patch], triangles: &[Patch], tree: &Settings) -> Detail {
-        let full = Settings { lod: Lod::Full, ..*tree };
-        let view = view();
-        let elements = samples.iter().chain(triangles).map(|patch| patch.count as u64).sum();
-        let instances = 1;
-        choose(&DetailGrounds {
-            samples,
-            triangles,
-            view: &view,
-            elements,
-            instances,
-            full: &full,
-            tree,
-        })
-    }
-
-    fn is_full(detail: &Detail) -> bool {
-        matches!(detail, Detail::Full { .. })
-    }
-
-    #[test]
-    fn few_or_sparse_elements_are_drawn_in_full() {
-        let [points, splats, coarse] = [
-            settings(Reconstruct::Points, 1.0),
-            settings(Reconstruct::Splats, 1.0),
-            settings(Reconstruct::Splats, 4.0),
-        ];
-        let [is_full_cloud, is_full_mesh] = [
-            |spacing_px: f64, tree: &Settings| {
-                is_full(&decide(&[patch(2e6, spacing_px)], &[], tree))
-            },
-            |spacing_px: f64, tree: &Settings| {
-                is_full(&decide(&[], &[patch(2e6, spacing_px)], tree))
-            },
-        ];
-        assert!(!is_full_cloud(0.1, &points) && is_full_cloud(0.3, &points));
-        assert!(!is_full_cloud(0.3, &splats) && is_full_cloud(0.7, &splats));
-        assert!(!is_full_cloud(1.0, &coarse) && is_full_cloud(2.0, &coarse));
-        assert!(is_full_cloud(30.0, &splats) && is_full_cloud(30.0, &coarse), "close up");
-        assert!(!is_full_mesh(0.1, &points) && is_full_mesh(0.4, &points));
-        assert!(
-            !is_full_mesh(0.1, &splats) && is_full_mesh(0.3, &splats),
-            "a node costs six triangles"
-        );
-        assert!(is_full(&decide(&[patch(3e5, 0.01)], &[], &points)), "listing alone takes longer");
-        let because = "the 2000000 samples and triangles in view are drawn sooner than nodes are chosen in their place";
-        assert_eq!(
-            decide(&[patch(2e6, 0.7)], &[], &splats),
-            Detail::Full { because: because.into() }
-        );
-        assert!(is_full(&decide(&[], &[], &splats)), "nothing in view");
-    }
-
-    #[test]
-    fn large_scenes_are_drawn_from_trees() {
-        let tree = settings(Reconstruct::Points, 1.0);
-        assert_eq!(
-            decide(&[patch(9e6, 2.0)], &[], &tree),
-            Detail::Tree { error: MaxError::default() }
-        );
-        let (full, view) = (Settings { lod: Lod::Full, ..tree }, view());
-        let (samples, triangles) = (&[patch(1e6, 2.0)], &[]);
-        let many = DetailGrounds {
-            samples,
-            triangles,
-            view: &view,
-            elements: 1_000_000,
-            instances: 1025,
-            full: &full,
-            tree: &tree,
-        };
-        assert_eq!(choose(&many), Detail::Tree { error: MaxError::default() });
-        assert!(is_full(&choose(&DetailGrounds { instances: 1024, ..many })));
-    }
-
-    #[test]
-    fn the_error_decreases_steadily_to_a_quarter_before_full_detail() {
-        let tree = settings(Reconstruct::Splats, 4.0);
-        let errors: Vec<f32> = (0..400)
-            .map_while(|step| {
-                let spacing_px = 0.4 * 1.005f64.powi(step);
-                match decide(&[patch(2e6, spacing_px)], &[], &tree) {
-                    Detail::Tree { error } => Some(error.px()),
-                    Detail::Full { .. } => None,
-                }
-            })
-            .collect();
-        assert!(errors.len() < 400 && errors[0] == 4.0);
-        assert!(errors.windows(2).all(|pair| pair[1] <= pair[0] && pair[1] > 0.9 * pair[0]));
-        assert!(*errors.last().unwrap() < 1.1, "{errors:?}");
-    }
-}
+mod tests;

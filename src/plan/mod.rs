@@ -185,8 +185,9 @@ impl FramePlan {
                 let is_asked = |pass| matches!(pass, Pass::DepthPyramid | Pass::CullHidden);
                 let passes = passes.iter().filter(|&&pass| !(is_last && is_asked(pass)));
                 let passes: Vec<Pass> = passes.copied().collect();
-                let together =
-                    |a: &Pass, b: &Pass| a.line().per == b.line().per && a.line().per != Per::Frame;
+                let together = |a: &Pass, b: &Pass| {
+                    a.line().per == b.line().per && matches!(a.line().per, Per::Segment(_))
+                };
                 steps.extend(passes.chunk_by(together).map(|passes| Step {
                     stage,
                     per: passes[0].line().per,
@@ -221,15 +222,16 @@ impl Facts<'_> {
     fn is_drawn_wherever(&self, kind: GeometryKind) -> bool {
         match kind {
             GeometryKind::Samples => self.frame.reconstruction.fuzzy().is_some(),
-            GeometryKind::Triangles => false,
+            GeometryKind::Triangles | GeometryKind::Lines => false,
         }
     }
 
     /// Whether light is computed for each pixel. Splats that are lit one by one need none after they are blended.
     fn lights_pixels(&self) -> bool {
         let reconstruction = &self.frame.reconstruction;
-        let only_splats =
-            self.scene.has(GeometryKind::Samples) && !self.scene.has(GeometryKind::Triangles);
+        let only_splats = GeometryKind::ALL
+            .iter()
+            .all(|&kind| self.scene.has(kind) == (kind == GeometryKind::Samples));
         let is_done =
             reconstruction.shades(Shading::Splat) && reconstruction.blends() && only_splats;
         self.frame.output == Output::Color && self.scene.lights > 0 && !is_done
@@ -249,10 +251,12 @@ pub fn plan(scene: &SceneFacts, frame: &FrameFacts, adapter: &AdapterFacts) -> F
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Blend, Discs, EyeDome, Splats};
+    use crate::scene::{Blend, Discs, EyeDome, PullPush, PullPushWeights, Splats};
 
-    const SAMPLES: Counts = Counts { samples: 1, triangles: 0, chunks: 1, instances: 1 };
-    const TRIANGLES: Counts = Counts { samples: 0, triangles: 1, chunks: 1, instances: 1 };
+    const SAMPLES: Counts =
+        Counts { samples: 1, chunks: 1, instances: 1, triangles: 0, segments: 0 };
+    const TRIANGLES: Counts =
+        Counts { samples: 0, chunks: 1, instances: 1, triangles: 1, segments: 0 };
     const BOTH: Counts = Counts { samples: 1, ..TRIANGLES };
 
     const POINTS: Reconstruction = Reconstruction::Points;
@@ -280,7 +284,7 @@ mod tests {
         for (samples, triangles, trees) in iproduct([0, 1], [0, 1], sides) {
             for (lights, chunks) in [(0, 1), (2, 1), (0, MANY_CHUNKS), (2, MANY_CHUNKS)] {
                 scenes.push(SceneFacts {
-                    counts: Counts { samples, triangles, chunks, instances: 1 },
+                    counts: Counts { samples, triangles, segments: 0, chunks, instances: 1 },
                     lights,
                     trees,
                     ..SceneFacts::default()
@@ -292,6 +296,10 @@ mod tests {
             Reconstruction::Points,
             Reconstruction::Discs(Discs { diameter_px: 3.0, diameter: 0.0 }),
             Reconstruction::Fuzzy(lit),
+            Reconstruction::PullPush(PullPush {
+                splats: Splats::default(),
+                weights: PullPushWeights::default(),
+            }),
         ];
         for blend in [Blend::Opaque, Blend::Weighted] {
             for shading in [Shading::Splat, Shading::Deferred] {
@@ -441,7 +449,10 @@ mod tests {
         for step in every_plan().iter().flat_map(FramePlan::steps) {
             let names: Vec<&str> = step.passes.iter().map(|pass| pass.name()).collect();
             let listed = names.iter().any(|name| name.contains("walk") || name.contains("raster"));
-            assert_eq!(listed, step.per != Per::Frame, "{names:?}");
+            // No list says which samples are recorded.
+            let is_plain = names == ["record_samples"];
+            let by_segment = matches!(step.per, Per::Segment(_)) && !is_plain;
+            assert_eq!(listed, by_segment, "{names:?}");
             assert_eq!(names.len(), if listed { 2 } else { 1 }, "{names:?}");
         }
     }

@@ -1,7 +1,7 @@
 //! How a frame makes a surface of projected samples: the method that a request, `auto` and the scene together decide.
 
 use super::{Reconstruct, Settings};
-use crate::scene::{Blend, Discs, Shading, Splats};
+use crate::scene::{Blend, Discs, PullPush, Shading, Splats};
 
 /// A method of reconstruction with its parameters.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -16,6 +16,8 @@ pub enum Reconstruction {
     /// Splats that are blended and depth-tested in a single pass (Dachsbacher et al. 2003, §5). `blend` and `shading` are those of the
     /// three passes that the single pass approximates.
     Fuzzy(Splats),
+    /// One pixel a sample, and coarser levels of the image that fill the gaps (Marroquim et al. 2008).
+    PullPush(PullPush),
 }
 
 impl Reconstruction {
@@ -46,14 +48,24 @@ impl Reconstruction {
                 shading: Shading::Splat,
                 ..splats
             }),
+            Reconstruct::PullPush => Reconstruction::PullPush(PullPush {
+                splats: Splats {
+                    blend: Blend::Weighted,
+                    shading: Shading::Deferred,
+                    prefilter: false,
+                    ..*scene
+                },
+                weights: settings.pull_push_weights,
+            }),
         }
     }
 
-    /// The parameters of splats; `None` where samples are drawn as points.
+    /// The parameters of splats, or of the disks that pull-push reconstructs a surface of; `None` where samples are drawn as points.
     pub fn splats(&self) -> Option<&Splats> {
         match self {
             Reconstruction::Points | Reconstruction::Discs(_) => None,
             Reconstruction::Splats(splats) | Reconstruction::Fuzzy(splats) => Some(splats),
+            Reconstruction::PullPush(pull_push) => Some(&pull_push.splats),
         }
     }
 
@@ -70,7 +82,21 @@ impl Reconstruction {
         *self == Reconstruction::Points
     }
 
-    /// Whether samples are drawn as splats.
+    /// The parameters of pull-push reconstruction.
+    pub fn pull_push(&self) -> Option<&PullPush> {
+        match self {
+            Reconstruction::PullPush(pull_push) => Some(pull_push),
+            _ => None,
+        }
+    }
+
+    /// How far behind the nearest surface samples belong to it, in radii of the nearest one; 0 where they are not combined.
+    pub fn depth_offset(&self) -> f32 {
+        let splats = self.weighted().or(self.pull_push().map(|pull_push| &pull_push.splats));
+        splats.map_or(0.0, |splats| splats.depth_offset)
+    }
+
+    /// Whether samples stand for disks: as splats, or for pull-push.
     pub fn is_splats(&self) -> bool {
         self.splats().is_some()
     }

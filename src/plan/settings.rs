@@ -29,14 +29,20 @@ pub use values::{
     PointSize, PointSizePx, Reconstruct, StillFrame, Wait,
 };
 
+use crate::assets::fields::{CLASSIFICATION, INTENSITY, RETURN_NUMBER};
 use crate::math::Projection;
 use crate::scene::clipping::ClipBoxes;
 use crate::scene::recolor::ColorMap;
-use crate::scene::{Blend, Filter, Shading};
+use crate::scene::{Blend, Filter, PullPushWeights, Shading};
 
 /// Samples are drawn as splats, or may be.
 const SPLATS: Rule =
     Rule::new("reconstruct", &["splats", "fuzzy", "auto"], "this setting applies to splats only");
+const PULL_PUSH: Rule = Rule::new(
+    "reconstruct",
+    &["pull_push"],
+    "this setting applies to `reconstruct=pull_push` only",
+);
 /// Samples are drawn as points, or may be.
 const POINTS: Rule =
     Rule::new("reconstruct", &["points", "auto"], "splats have sizes of their own");
@@ -60,6 +66,10 @@ const EDL: Rule = Rule::new("edl", &["on", "auto"], "eye-dome lighting is off");
 const SURELY_SPLATS: Rule = Rule::new("reconstruct", &["splats", "fuzzy"], "");
 const THREE_PASSES: Rule = Rule::new("reconstruct", &["splats"], "");
 const COLORS: Rule = Rule::new("output", &["color"], "");
+const INTENSITIES: Rule = Rule::new("fields", &[INTENSITY], "").for_value("intensity");
+const CLASSES: Rule = Rule::new("fields", &[CLASSIFICATION], "").for_value("classification");
+const RETURNS: Rule = Rule::new("fields", &[RETURN_NUMBER], "").for_value("return_number");
+const ANY_FIELD: Rule = Rule::new("fields", &[], "").for_value("field");
 
 macro_rules! settings {
     ($(
@@ -143,13 +153,13 @@ macro_rules! settings {
 }
 
 settings! {
-    /// Projection of the camera; the camera's own by default. A camera of another projection shows as much at the distance of its
-    /// target, and the default view as much as the frame allows.
+    /// Projection of the camera; the camera's own by default. A converted camera keeps the height of its view at the
+    /// target. The default view fills the frame.
     projection: Projection => Option<Projection> {
         label: "Projection", kind: SettingKind::scenes::<Projection>(), needs: [], useful_with: []
     }
     /// Boxes that the scene is clipped with, separated by `;`. `x,y,z,x,y,z` is a box's least and largest corner, and `*` leaves a bound open.
-    /// A frame shows what lies in any box, or everything if all boxes are `outside:` boxes, except what lies in an `outside:` box.
+    /// Plain boxes keep their inside, and `outside:` boxes remove their inside. Without plain boxes, everything else stays.
     clip_boxes: ClipBoxes => Option<ClipBoxes> {
         label: "Clip boxes", kind: text::boxes(), needs: [], useful_with: []
     }
@@ -173,7 +183,8 @@ settings! {
     }
     /// Meaning of the colours of surfaces.
     color_by: ColorBy => ColorBy, once "paint" {
-        label: "Colours", kind: SettingKind::own::<ColorBy>(), needs: [TREES.for_value("levels")], useful_with: [COLORS]
+        label: "Colours", kind: SettingKind::own::<ColorBy>(), needs: [TREES.for_value("levels")],
+        useful_with: [COLORS, INTENSITIES, CLASSES, RETURNS, ANY_FIELD]
     }
     /// Scalar field that `color_by=field` shows.
     field: Name => Option<Name> {
@@ -220,6 +231,10 @@ settings! {
     shading: Shading => Option<Shading> {
         label: "Light", kind: SettingKind::scenes::<Shading>(), needs: [PASSES],
         useful_with: [SAMPLES, THREE_PASSES, COLORS, Rule::new("blend", &["weighted"], ""), Rule::new("lights", &["some"], "")]
+    }
+    /// Weights of the samples around a gap that pull-push fills.
+    pull_push_weights: PullPushWeights => PullPushWeights {
+        label: "Gap weights", kind: SettingKind::own::<PullPushWeights>(), needs: [PULL_PUSH], useful_with: [SAMPLES]
     }
     /// Eye-dome lighting: darkens pixels whose neighbours are nearer (Boucheny 2009). `auto` uses it for samples that have no normals and
     /// are not lit.
@@ -397,7 +412,8 @@ impl Given {
 }
 
 impl Settings {
-    /// The canonical form: every setting that affects the frame, and no other. Frames with the same applied settings are the same.
+    /// The canonical form: every setting whose needs among the other settings are met. Frames with the same applied settings are the same. Those of
+    /// different ones may be: the output and the scene, which leave some settings without effect, are not asked.
     #[must_use]
     pub fn applied(&self) -> Given {
         let used = words(self);

@@ -9,7 +9,7 @@
 //! 3. the WGSL file below `shaders/`; the recording function has the same path below `passes/`;
 //! 4. the suffix that the name of the pass adds to the name of the file;
 //! 5. the stages in which it is recorded; the first is the one that it belongs to;
-//! 6. whether it is recorded once a frame, or once for each segment of a kind of geometry ([`Per`]);
+//! 6. whether it is recorded once a frame, once for each segment of a kind of geometry, or once for each level of a pyramid ([`Per`]);
 //! 7. the reasons to skip it. The pass runs if none of them holds.
 //!
 //! Buffers are not listed here: a shader declares what it binds, and `passes/bindings.rs` finds the buffer by its name.
@@ -32,27 +32,36 @@ macro_rules! pass_table {
             Compact              Compute select/compact                ""    [Select]            Frame     [];
             LaunchPortions       Compute select/launch_portions        ""    [Project Ids Blend] Frame     [NOTHING_TO_HIDE FEW_CHUNKS DRAWS_HIDDEN];
             ProjectSamples       Compute project/project_samples       ""    [Project]           Frame     [NO_SAMPLES AS_SPLATS AS_DISCS];
-            ProjectSplats        Compute project/project_splats        ""    [Project]           Samples   [NO_SAMPLES AS_POINTS FUZZY];
-            WalkSplats           Compute project/walk_splats           ""    [Project]           Samples   [NO_SAMPLES AS_POINTS FUZZY];
+            ProjectSplats        Compute project/project_splats        ""    [Project]           Samples   [NO_SAMPLES AS_POINTS PULLED FUZZY];
+            WalkSplats           Compute project/walk_splats           ""    [Project]           Samples   [NO_SAMPLES AS_POINTS PULLED FUZZY];
             ProjectTriangles     Compute project/project_triangles     ""    [Project]           Triangles [NO_TRIANGLES];
             RasteriseTriangles   Raster  project/rasterise_triangles   ""    [Project]           Triangles [NO_TRIANGLES WALKS];
             WalkTriangles        Compute project/walk_triangles        ""    [Project]           Triangles [NO_TRIANGLES RASTERISES];
+            ProjectLines         Compute project/project_lines         ""    [Project]           Lines     [NO_LINES];
+            WalkLines            Compute project/walk_lines            ""    [Project]           Lines     [NO_LINES];
             DepthPyramid         Compute select/depth_pyramid          ""    [Project Blend]     Frame     [NOTHING_TO_HIDE FEW_CHUNKS DRAWS_HIDDEN];
             CullHidden           Compute select/cull_hidden            ""    [Project Blend]     Frame     [NOTHING_TO_HIDE FEW_CHUNKS DRAWS_HIDDEN];
             ProjectSamplesId     Compute project/project_samples       "_id" [Ids]               Frame     [NO_SAMPLES AS_SPLATS AS_DISCS WIDE];
-            ProjectSplatsId      Compute project/project_splats        "_id" [Ids]               Samples   [NO_SAMPLES AS_POINTS FUZZY WIDE];
-            WalkSplatsId         Compute project/walk_splats           "_id" [Ids]               Samples   [NO_SAMPLES AS_POINTS FUZZY WIDE];
+            ProjectSplatsId      Compute project/project_splats        "_id" [Ids]               Samples   [NO_SAMPLES AS_POINTS PULLED FUZZY WIDE];
+            WalkSplatsId         Compute project/walk_splats           "_id" [Ids]               Samples   [NO_SAMPLES AS_POINTS PULLED FUZZY WIDE];
             ProjectTrianglesId   Compute project/project_triangles     "_id" [Ids]               Triangles [NO_TRIANGLES WIDE];
             RasteriseTrianglesId Raster  project/rasterise_triangles   "_id" [Ids]               Triangles [NO_TRIANGLES WIDE WALKS];
             WalkTrianglesId      Compute project/walk_triangles        "_id" [Ids]               Triangles [NO_TRIANGLES WIDE RASTERISES];
-            BlendSplats          Compute reconstruct/blend_splats      ""    [Blend]             Samples   [NO_SAMPLES AS_POINTS FUZZY OPAQUE IDS];
-            BlendWalked          Compute reconstruct/blend_walked      ""    [Blend]             Samples   [NO_SAMPLES AS_POINTS FUZZY OPAQUE IDS];
+            ProjectLinesId       Compute project/project_lines         "_id" [Ids]               Lines     [NO_LINES WIDE];
+            WalkLinesId          Compute project/walk_lines            "_id" [Ids]               Lines     [NO_LINES WIDE];
+            BlendSplats          Compute reconstruct/blend_splats      ""    [Blend]             Samples   [NO_SAMPLES AS_POINTS PULLED FUZZY OPAQUE IDS];
+            BlendWalked          Compute reconstruct/blend_walked      ""    [Blend]             Samples   [NO_SAMPLES AS_POINTS PULLED FUZZY OPAQUE IDS];
             FuzzySplats          Compute reconstruct/fuzzy_splats      ""    [Fuzzy]             Samples   [NO_SAMPLES AS_POINTS NOT_FUZZY];
             FuzzyWalked          Compute reconstruct/fuzzy_walked      ""    [Fuzzy]             Samples   [NO_SAMPLES AS_POINTS NOT_FUZZY];
+            RecordSamples        Compute reconstruct/record_samples    ""    [PullPush]          Samples   [NO_SAMPLES NOT_PULLED];
+            Pull                 Compute reconstruct/pull              ""    [PullPush]          Coarser   [NO_SAMPLES NOT_PULLED];
+            Push                 Compute reconstruct/push              ""    [PullPush]          Finer     [NO_SAMPLES NOT_PULLED];
             ResolveFuzzy         Compute resolve/resolve_fuzzy         ""    [Resolve]           Frame     [NO_SAMPLES AS_POINTS NOT_FUZZY];
-            ResolveSplats        Compute resolve/resolve_splats        ""    [Resolve]           Frame     [NO_SAMPLES AS_POINTS FUZZY OPAQUE];
-            ResolveSamples       Compute resolve/resolve_samples       ""    [Resolve]           Frame     [NO_SAMPLES BLENDED];
+            ResolvePulled        Compute resolve/resolve_pulled        ""    [Resolve]           Frame     [NO_SAMPLES NOT_PULLED];
+            ResolveSplats        Compute resolve/resolve_splats        ""    [Resolve]           Frame     [NO_SAMPLES AS_POINTS PULLED FUZZY OPAQUE];
+            ResolveSamples       Compute resolve/resolve_samples       ""    [Resolve]           Frame     [NO_SAMPLES PULLED BLENDED];
             ResolveTriangles     Compute resolve/resolve_triangles     ""    [Resolve]           Frame     [NO_TRIANGLES];
+            ResolveLines         Compute resolve/resolve_lines         ""    [Resolve]           Frame     [NO_LINES];
             WriteOutput          Compute resolve/write_output          ""    [Resolve]           Frame     [NOT_COLOR NO_EFFECT];
             Identify             Compute resolve/identify              ""    [Resolve]           Frame     [NOT_PICKED];
         }
@@ -73,13 +82,22 @@ pub enum Stage {
     Blend,
     /// Blends and depth-tests splats in a single pass.
     Fuzzy,
+    /// Fills the gaps between samples from coarser levels of the image.
+    PullPush,
     /// Computes the pixels.
     Resolve,
 }
 
 impl Stage {
-    pub const ALL: [Stage; 6] =
-        [Stage::Select, Stage::Project, Stage::Ids, Stage::Blend, Stage::Fuzzy, Stage::Resolve];
+    pub const ALL: [Stage; 7] = [
+        Stage::Select,
+        Stage::Project,
+        Stage::Ids,
+        Stage::Blend,
+        Stage::Fuzzy,
+        Stage::PullPush,
+        Stage::Resolve,
+    ];
 }
 
 /// How often a pass is recorded. Consecutive passes over segments of one kind take turns segment by segment, and share the list of
@@ -89,12 +107,22 @@ pub enum Per {
     Frame,
     /// Each segment of one kind of geometry.
     Segment(GeometryKind),
+    /// Each level of the pyramid of an image, from the finest to the coarsest.
+    Coarser,
+    /// Each level but the image itself, from the coarsest to the finest.
+    Finer,
 }
 
-/// Makes a [`Per`] of the word in the table: `Frame`, or a kind of geometry.
+/// Makes a [`Per`] of the word in the table: `Frame`, `Coarser`, `Finer`, or a kind of geometry.
 macro_rules! per {
     (Frame) => {
         Per::Frame
+    };
+    (Coarser) => {
+        Per::Coarser
+    };
+    (Finer) => {
+        Per::Finer
     };
     ($kind:ident) => {
         Per::Segment(GeometryKind::$kind)
@@ -129,6 +157,7 @@ macro_rules! reasons {
 reasons! {
     NO_SAMPLES: "the scene has no samples", |f| !f.scene.has(GeometryKind::Samples);
     NO_TRIANGLES: "the scene has no triangles", |f| !f.scene.has(GeometryKind::Triangles);
+    NO_LINES: "the scene has no lines", |f| !f.scene.has(GeometryKind::Lines);
     FULL_DETAIL: "the level of detail is full", |f| !f.scene.trees;
     NOTHING_TO_HIDE: "nothing in the frame can be occluded",
         |f| GeometryKind::ALL.iter().all(|&kind| !f.scene.has(kind) || f.is_drawn_wherever(kind));
@@ -139,10 +168,14 @@ reasons! {
     WALKS: "the adapter's rasteriser is slower than walk_triangles", |f| !f.adapter.rasterises;
     AS_POINTS: "samples are drawn as points", |f| f.frame.reconstruction.is_points();
     AS_DISCS: "samples are drawn larger than a pixel", |f| f.frame.reconstruction.discs().is_some();
-    AS_SPLATS: "samples are drawn as splats", |f| f.frame.reconstruction.is_splats();
+    AS_SPLATS: "samples are drawn as splats",
+        |f| f.frame.reconstruction.is_splats() && f.frame.reconstruction.pull_push().is_none();
     OPAQUE: "splats are not blended", |f| f.frame.reconstruction.weighted().is_none();
     FUZZY: "splats are blended in a single pass", |f| f.frame.reconstruction.fuzzy().is_some();
     NOT_FUZZY: "splats are not blended in a single pass", |f| f.frame.reconstruction.fuzzy().is_none();
+    PULLED: "pull-push fills the gaps between samples", |f| f.frame.reconstruction.pull_push().is_some();
+    NOT_PULLED: "gaps between samples are not filled by pull-push",
+        |f| f.frame.reconstruction.pull_push().is_none();
     BLENDED: "splats are blended", |f| f.scene.has(GeometryKind::Samples) && f.frame.reconstruction.blends();
     NO_EFFECT: "no effect reads neighbouring pixels", |f| f.frame.edl.is_none();
     NOT_COLOR: "the output is not color", |f| f.frame.output != super::Output::Color;

@@ -164,6 +164,11 @@ pub struct GpuStats {
     pub walk_cut: u32,
     /// Bounds of all that may be drawn, see `shared/scene.wgsl`.
     pub drawn_bounds: [u32; 4],
+    pub pixels_filled: u32,
+    pub unused: u32,
+    pub segments_tested: [u32; 2],
+    pub segments_listed: u32,
+    pub pixels_of_segments: u32,
 }
 
 /// `Material` of `shared/material.wgsl`.
@@ -543,10 +548,17 @@ mod tests {
                         std::mem::offset_of!(GpuStats, pixels_of_triangles)
                     );
                     assert_eq!(offset("nodes_drawn"), std::mem::offset_of!(GpuStats, nodes_drawn));
+                    assert_eq!(
+                        offset("pixels_filled"),
+                        std::mem::offset_of!(GpuStats, pixels_filled)
+                    );
                     for (member, place) in [
                         ("splats_clipped", std::mem::offset_of!(GpuStats, splats_clipped)),
                         ("splats_listed", std::mem::offset_of!(GpuStats, splats_listed)),
                         ("splats_scattered", std::mem::offset_of!(GpuStats, splats_scattered)),
+                        ("segments_tested_lo", std::mem::offset_of!(GpuStats, segments_tested)),
+                        ("segments_listed", std::mem::offset_of!(GpuStats, segments_listed)),
+                        ("pixels_of_segments", std::mem::offset_of!(GpuStats, pixels_of_segments)),
                     ] {
                         assert_eq!(offset(member), place);
                     }

@@ -122,6 +122,7 @@ impl AssetModel {
             has_normals: self.has_normals,
             normals_estimated: self.normals_estimated,
             has_triangles: geometries.iter().any(|g| g.kind() == GeometryKind::Triangles),
+            has_lines: geometries.iter().any(|g| g.kind() == GeometryKind::Lines),
             has_materials: chunks.any(|chunk| chunk.material != 0),
         }
     }

@@ -28,6 +28,8 @@ pub struct FileSource {
     pub sample: Option<MeshSampling>,
     /// Look for sharp features of its points.
     pub features: bool,
+    /// Radius of its lines, in place of its own.
+    pub line_radius: Option<f64>,
 }
 
 /// How a mesh is sampled; what is absent is chosen.
@@ -77,7 +79,12 @@ pub struct Operand {
 impl AssetRef {
     /// A file that is drawn as it is.
     pub fn file(name: &str, path: PathBuf) -> AssetRef {
-        let source = AssetSource::File(FileSource { path, sample: None, features: false });
+        let source = AssetSource::File(FileSource {
+            path,
+            sample: None,
+            features: false,
+            line_radius: None,
+        });
         AssetRef { name: name.to_owned(), source }
     }
 

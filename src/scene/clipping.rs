@@ -114,7 +114,8 @@ impl fmt::Display for ClipBox {
 impl ClipBoxes {
     /// A regular expression that matches every text of boxes, and possibly others.
     pub fn pattern() -> String {
-        let number = r"(\*|[+-]?[0-9]*\.?[0-9]*([eE][+-]?[0-9]+)?)";
+        // Browsers read patterns with the flag `v`, in which a bare `-` in brackets is an error.
+        let number = r"(\*|[+\-]?[0-9]*\.?[0-9]*([eE][+\-]?[0-9]+)?)";
         let clip = format!("((in|out)side:)?{number}( *, *{number}){{5}}");
         format!("^ *{clip}( *; *{clip}){{0,{}}} *$", MOST_BOXES - 1)
     }

@@ -111,7 +111,7 @@ fn sort(mut uses: Vec<Vec<usize>>) -> Result<Vec<usize>, Vec<usize>> {
         }
     }
     let Some(start) = (0..count).find(|&i| missing[i] > 0) else { return Ok(order) };
-    // Whoever is left uses another one that is left: walking on must come back somewhere.
+    // Each one that is left uses another one that is left: walking on must come back somewhere.
     let mut walk = vec![start];
     let mut position = vec![None; count];
     let mut here = start;

@@ -76,6 +76,37 @@ pub enum Shading {
     Splat,
 }
 
+/// Weights of the samples around a gap that pull-push fills (Marroquim et al. 2008, §3.3).
+#[derive(
+    Clone,
+    Copy,
+    Debug,
+    Default,
+    PartialEq,
+    Eq,
+    Hash,
+    Serialize,
+    Deserialize,
+    utoipa::ToSchema,
+    clap::ValueEnum,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum PullPushWeights {
+    /// Elliptical Gaussians: smooth colours and normals.
+    #[default]
+    Gaussian,
+    /// Equal weights for all samples whose disks cover a place.
+    Box,
+}
+
+/// Parameters of pull-push reconstruction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PullPush {
+    /// The disks that samples stand for. Neither a filter nor a low-pass filter applies to them.
+    pub splats: Splats,
+    pub weights: PullPushWeights,
+}
+
 /// How a scene's samples are drawn as splats.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Splats {

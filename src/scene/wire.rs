@@ -98,6 +98,9 @@ pub(super) struct AssetWire {
     /// Whether sharp features of the file's points are looked for, false when absent.
     #[serde(default)]
     pub features: Option<bool>,
+    /// Radius of the file's lines, in its unit, in place of its own; without one, lines have a radius that follows from their size and number.
+    #[serde(default)]
+    pub line_radius: Option<f64>,
     /// The union of these sampled solids.
     #[serde(default)]
     pub union: Option<Vec<Object<OperandWire>>>,

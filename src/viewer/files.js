@@ -1,13 +1,9 @@
 // Groups the given files into uploads: looks through folders, and makes a scene of each model that stands alone.
 
-// Files that other files name; as in the daemon (src/http/names.rs).
-const COMPANIONS = ['mtl', 'png', 'jpg', 'jpeg', 'webp', 'bmp', 'tga', 'bin', 'gif', 'hdr', 'txt'];
-// Formats that the daemon reads (src/assets/dispatch.rs).
-const MODELS = ['ply', 'las', 'laz', 'obj', 'stl', 'gltf', 'glb', 'xyz', 'pts', 'csv', 'ptx', 'pcd', 'off', 'e57'];
+import { COMPANIONS, MODELS, MOST_FILES } from './formats.js';
+
 // Formats whose files name others.
 const NAMING = ['obj', 'gltf'];
-// Largest number of files in an upload that the daemon accepts.
-const MOST_FILES = 256;
 // Largest number of scenes in one drop; more are hardly intended.
 const MOST_SCENES = 32;
 // Largest size of a file that is taken for a camera path.

@@ -33,7 +33,7 @@ export async function pickAt(sceneId, frame, [right, up]) {
 // A hit's coordinates with their significant digits: a sample's are stored, a triangle's follow from the position of the pixel.
 export function coordinates({ kind, position, resolution, distance }) {
   const places = Math.max(0, Math.min(12, Math.floor(-Math.log10(resolution))));
-  return position.map(value => (kind === 'triangle' ? digits(value, distance) : String(Number(value.toFixed(places)))));
+  return position.map(value => (kind === 'triangle' || kind === 'segment' ? digits(value, distance) : String(Number(value.toFixed(places)))));
 }
 
 // The names of the nodes above the hit.

@@ -33,7 +33,7 @@ function status(info, [w, h]) {
 }
 
 function facts(info, poses) {
-  const { receipt } = info, { samples, splats, triangles, instances, camera } = receipt;
+  const { receipt } = info, { samples, splats, triangles, segments, instances, camera } = receipt;
   const distance = norm(sub(camera.eye, camera.target)), placed = v => v.map(x => digits(x, distance)).join(', ');
   rows($('frame'), [
     ['adapter', receipt.adapter], ['scene', `${receipt.scene}, revision ${receipt.revision}`],
@@ -46,6 +46,7 @@ function facts(info, poses) {
     ...(receipt.settings.provisional ? [['provisional', receipt.settings.provisional]] : []),
     ...(receipt.settings.instead_because ? [['instead', receipt.settings.instead_because]] : []),
     ['triangles', `${count(triangles.stored)} stored, ${count(triangles.tested)} tested, ${count(triangles.rasterised)} rasterised`],
+    ...(segments.stored ? [['segments', `${count(segments.stored)} stored, ${count(segments.tested)} tested, ${count(segments.listed)} listed`]] : []),
     ['instances', `${count(instances.stored)} stored, ${count(instances.drawn)} drawn`],
     ...(splats.clipped || splats.rasterised || splats.scattered ? [['splats', `${count(splats.scattered)} scattered, ${count(splats.rasterised)} rasterised, ${count(splats.clipped)} clipped`]] : []),
     ['on the GPU', bytes(receipt.gpu_bytes)],

@@ -34,7 +34,7 @@ const size = ([low, high]) => high.map((v, i) => Number((v - low[i]).toPrecision
 function inWords(scene) {
   if (scene.state === 'loading') return `being loaded for ${Math.round(scene.loading_ms / 1000)} s`;
   if (scene.state === 'failed') return `could not be loaded: ${scene.problem.detail}`;
-  const counts = [[scene.samples, 'sample'], [scene.triangles, 'triangle'], [scene.instances, 'instance']];
+  const counts = [[scene.samples, 'sample'], [scene.triangles, 'triangle'], [scene.segments, 'segment'], [scene.instances, 'instance']];
   const shown = counts.filter(([n]) => n > 0).map(([n, what]) => `${short(n)} ${n === 1 ? what : what + 's'}`);
   return [...shown, scene.bounds ? size(scene.bounds) : 'empty'].join(', ');
 }
@@ -90,7 +90,7 @@ export function facts(scene) {
   const corner = v => v.map(x => digits(x, extent)).join(', '), some = (name, n) => n > 0 ? [[name, count(n)]] : [];
   rows($('about'), [
     ['id', scene.id], ['revision', count(scene.revision)],
-    ...some('samples', scene.samples), ...some('triangles', scene.triangles), ...some('instances', scene.instances),
+    ...some('samples', scene.samples), ...some('triangles', scene.triangles), ...some('segments', scene.segments), ...some('instances', scene.instances),
     ...(scene.bounds ? [['from', corner(scene.bounds[0])], ['to', corner(scene.bounds[1])], ['size', size(scene.bounds)]] : [['bounds', 'empty']]),
     ...some('lights', scene.lights), ['GPU memory', bytes(scene.gpu_bytes)],
     ['assets', scene.assets.map(a => `${a.name} (${a.format}${a.normals_estimated ? ', normals estimated' : ''})`).join(', ')],

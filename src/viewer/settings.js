@@ -51,20 +51,39 @@ const isNumber = name => $(name).type === 'number';
 const isWritten = name => $(name).tagName === 'INPUT';
 const isDefault = name => isWritten(name) ? $(name).value === '' || !$(name).validity.valid : $(name).selectedIndex === 0;
 
+const fieldNames = () => (scene?.fields ?? []).map(field => field.name);
+
 // The facts that rules are checked against: settings and scene. Unknown facts are missing.
 function facts() {
-  const found = { output: $('output').value, lights: scene?.lights > 0 ? 'some' : 'none' };
+  const found = { output: $('output').value, lights: scene?.lights > 0 ? 'some' : 'none', fields: fieldNames() };
   for (const { name } of declared) found[name] = $(name).value || drawn[name];
   // With a level of detail, meshes have samples.
   found.samples = scene && (scene.samples || found.lod === 'spt') ? 'some' : 'none';
   return found;
 }
 
+function holds(rule, found) {
+  const fact = found[rule.of], values = [fact ?? []].flat().map(String).filter(Boolean);
+  if (rule.is.length === 0) return values.length > 0;
+  return fact === undefined || values.some(value => rule.is.includes(value));
+}
+
 // Whether a setting has an effect with this scene and the other settings.
 function applies(setting, found) {
-  const concerns = rule => rule.value === undefined || rule.value === found[setting.name];
-  const holds = rule => rule.is.length === 0 ? Boolean(found[rule.of]) : found[rule.of] === undefined || rule.is.includes(String(found[rule.of]));
-  return [...setting.needs, ...setting.useful_with].filter(concerns).every(holds);
+  const needed = setting.needs.filter(rule => rule.value === undefined || rule.value === found[setting.name]);
+  const useful = setting.useful_with.filter(rule => rule.value === undefined);
+  return [...needed, ...useful].every(rule => holds(rule, found));
+}
+
+// Values that cannot be drawn, such as colours by a field that the scene lacks, cannot be chosen.
+function offerValues() {
+  const found = facts();
+  for (const { name, useful_with } of declared.filter(setting => setting.kind === 'choice')) {
+    for (const option of $(name).options) {
+      const rules = useful_with.filter(rule => rule.value === option.value);
+      option.disabled = option.hidden = !rules.every(rule => holds(rule, found));
+    }
+  }
 }
 
 function applying() {
@@ -78,26 +97,17 @@ function showSettings() {
   for (const name of NAMES) $(name).parentElement.hidden = !names.has(name);
 }
 
-// Colours by a field that the scene lacks cannot be chosen.
-function offerFields(fields) {
-  const names = fields.map(field => field.name);
-  $('field-hints').replaceChildren(...names.map(name => new Option(name)));
-  for (const option of $('color_by').options) {
-    const known = { intensity: 1, classification: 1, return_number: 1 }[option.value] ? names.includes(option.value) : true;
-    option.disabled = option.hidden = option.value === 'field' ? names.length === 0 : !known;
-  }
-}
-
 // Fills in a field where colours by one are wanted and none is named.
 function nameField() {
-  const names = scene?.fields?.map(field => field.name) ?? [];
-  if ($('color_by').value === 'field' && !names.includes($('field').value) && names.length > 0) $('field').value = names[0];
+  const names = fieldNames();
+  if (applying().has('field') && !names.includes($('field').value) && names.length > 0) $('field').value = names[0];
 }
 
 export function ofScene(info) {
   if (info !== scene) drawn = {};
   scene = info;
-  offerFields(info?.fields ?? []);
+  $('field-hints').replaceChildren(...fieldNames().map(name => new Option(name)));
+  offerValues();
   for (const setting of declared) if (setting.default == null && !isWritten(setting.name)) $(setting.name).options[0].text = 'as the scene';
   showSettings();
 }

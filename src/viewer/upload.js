@@ -3,11 +3,14 @@
 
 import { getJson, headers, NO_ANSWER, problemFrom, sceneUrl } from './api.js';
 import { faultOfGroup, filesOf, sorted, unreadable } from './files.js';
+import { MODELS } from './formats.js';
 import { $, bytes, complain, quiet } from './message.js';
 
 // Seconds that the daemon may delay its answer. After that it answers 202, and the page polls.
 const WAIT_SECONDS = 2;
 const POLL_MS = 700;
+
+$('formats').textContent = MODELS.map(format => format.toUpperCase()).join(', ');
 
 let cancel = null, isSending = false;
 // Groups of files, one per scene.

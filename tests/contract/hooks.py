@@ -6,12 +6,16 @@ schemas allow must then be accepted. A case that is meant to be refused keeps it
 changed, so that an unknown id does not hide it.
 """
 
+import json
 import os
+import pathlib
 import uuid
 
 import schemathesis
 from schemathesis.core.parameters import ParameterLocation
 
+# What the daemon under test answers to GET /v1/settings.
+SETTINGS = json.loads(pathlib.Path(os.environ["CONTRACT_SETTINGS"]).read_text())["settings"]
 HAS_VIDEO = os.environ.get("CONTRACT_VIDEO") == "1"
 # Frames are small to keep the run short; the cases do not test frame size.
 MOST_PIXELS = 48
@@ -103,25 +107,50 @@ def follow_clip_boxes(params):
         params["clip_node"] = "wall"
 
 
+def default_of(name):
+    """A setting's default; `None` where the scene has one, or where there is none."""
+    return next((setting.get("default") for setting in SETTINGS if setting["name"] == name), None)
+
+
+def needs_of(setting, params):
+    """The rules that a given setting has to follow."""
+    value = params.get(setting["name"])
+    # The default of a choice needs nothing.
+    if value is None or (setting["kind"] == "choice" and value == setting["default"]):
+        return []
+    return [rule for rule in setting["needs"] if rule.get("value") in (None, value)]
+
+
+def follow_needs(params):
+    """Adds or changes settings that given settings need, and drops a setting whose needs contradict those of one before it.
+
+    Where a rule asks for any value of a text, a value of the setting's examples is taken.
+    """
+    allowed = {}
+    for setting in SETTINGS:
+        rules = needs_of(setting, params)
+        shared = {rule["of"]: [word for word in allowed.get(rule["of"], rule["is"]) if word in rule["is"]] for rule in rules}
+        if any(rule["is"] and not shared[rule["of"]] for rule in rules):
+            del params[setting["name"]]
+        else:
+            allowed.update(shared)
+    for name, words in allowed.items():
+        value = params.get(name, default_of(name))
+        if words and value not in words:
+            params[name] = words[0]
+        elif not words and name not in params:
+            params[name] = next(setting["examples"][0] for setting in SETTINGS if setting["name"] == name)
+
+
 def follow_settings(params):
-    """Adds the settings that given settings need."""
-    if params.keys() & {"max_error_px"} or params.get("color_by") == "levels" or params.get("error_mode") == "split":
-        params["lod"] = "spt"
+    """Gives settings what they need beside them, and what this run's scene has."""
+    shows_fields = {rule["value"] for setting in SETTINGS if setting["name"] == "color_by" for rule in setting["useful_with"] if rule["of"] == "fields"}
     # The scene of these requests has no scalar fields.
     params.pop("field", None)
-    fields = ("intensity", "classification", "return_number", "field")
-    if params.keys() & {"color_map", "color_least", "color_most"} or params.get("color_by") in fields:
+    if params.get("color_by") in shows_fields:
         params["color_by"] = "height"
+    follow_needs(params)
     follow_clip_boxes(params)
-    if params.keys() & {"blend", "shading"} and params.get("reconstruct") in ("points", "fuzzy"):
-        params["reconstruct"] = "splats"
-    if (params.keys() & {"filter", "prefilter"} or params.get("error_mode") == "split") and params.get("reconstruct") == "points":
-        params["reconstruct"] = "splats"
-    if params.keys() & {"point_size_px", "point_size"} and params.get("reconstruct") in ("splats", "fuzzy"):
-        for name in ("point_size_px", "point_size"):
-            params.pop(name, None)
-    if params.keys() & {"edl_strength", "edl_radius_px"} and params.get("edl") == "off":
-        params["edl"] = "on"
     if "format" in params and params["format"].replace("jpg", "jpeg") not in FORMATS[params.get("output", "color")]:
         params["format"] = "png"
     if "deadline_ms" in params:

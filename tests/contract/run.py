@@ -110,7 +110,14 @@ def schemathesis(address, folder, options, rest):
         arguments += ["--max-examples", "10", "--max-time", str(options.seconds)]
     command = [str(pathlib.Path(sys.executable).parent / "schemathesis"), "--config-file", str(HERE / "schemathesis.toml")]
     command += ["run", str(folder / "openapi.yaml"), *arguments, *rest]
-    environment = {**os.environ, "SCHEMATHESIS_HOOKS": str(HERE / "hooks.py"), "PYTHONDONTWRITEBYTECODE": "1"}
+    settings = folder / "settings.json"
+    settings.write_bytes(requests.get(f"{address}/v1/settings", timeout=30).content)
+    environment = {
+        **os.environ,
+        "SCHEMATHESIS_HOOKS": str(HERE / "hooks.py"),
+        "CONTRACT_SETTINGS": str(settings),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
     process = subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     cases = 0
     for line in process.stdout:

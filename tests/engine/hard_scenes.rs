@@ -114,6 +114,7 @@ hard_scenes! {
     few: "few",
     fields_of_view: "fields-of-view",
     layers: "layers",
+    lines: "lines",
     survey: "survey",
     survey_home: "survey-home",
     transforms: "transforms",

@@ -11,7 +11,34 @@ use serde_json::json;
 
 use super::studio::{OUTPUTS, Studio, cloud, front, same, sphere, spt};
 
-/// Loads rows of balls and clouds one behind the other, with walls that close the view in places.
+/// A bundle of strands, thick and thin, as a VTK file.
+fn bundle() -> String {
+    let (strands, vertices) = (12, 60);
+    let mut text = String::from("# vtk DataFile Version 3.0\nbundle\nASCII\nDATASET POLYDATA\n");
+    text += &format!("POINTS {} float\n", strands * vertices);
+    for strand in 0..strands {
+        for vertex in 0..vertices {
+            let (sin, cos) = (f64::from(vertex) * 0.1 + f64::from(strand)).sin_cos();
+            let x = 0.02 * f64::from(vertex) - 0.6;
+            text += &format!("{x} {} {}\n", 0.2 * sin, 0.2 * cos + 0.02 * f64::from(strand));
+        }
+    }
+    text += &format!("LINES {strands} {}\n", strands * (vertices + 1));
+    for strand in 0..strands {
+        let places = (0..vertices).map(|vertex| (strand * vertices + vertex).to_string());
+        text += &format!("{vertices} {}\n", places.collect::<Vec<_>>().join(" "));
+    }
+    text += &format!(
+        "POINT_DATA {}\nSCALARS radius float 1\nLOOKUP_TABLE default\n",
+        strands * vertices
+    );
+    for strand in 0..strands * vertices {
+        text += if strand / vertices % 2 == 0 { "0.03\n" } else { "0.002\n" };
+    }
+    text
+}
+
+/// Loads rows of bundles, balls and clouds one behind the other, with walls that close the view in places.
 fn load(studio: &Studio) {
     studio.write("ball.ply", sphere(24));
     let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
@@ -23,11 +50,15 @@ fn load(studio: &Studio) {
         (place, [(i % 251) as u8, (i % 83) as u8, 120])
     });
     studio.write("cloud.ply", cloud(on_ball));
+    studio.write("bundle.vtk", bundle());
     studio.load_json(
         "rows",
         &json!({
-            "assets": { "ball": { "file": "ball.ply" }, "cloud": { "file": "cloud.ply" } },
+            "assets": { "ball": { "file": "ball.ply" }, "cloud": { "file": "cloud.ply" },
+                        "bundle": { "file": "bundle.vtk" } },
             "nodes": [
+                { "asset": "bundle", "translate": [0.4, 0.2, 0.4],
+                  "repeat": { "grid": [12, 2, 12], "step": [1.5, 1.5, 1.5] } },
                 { "asset": "ball", "scale": 0.7, "repeat": { "grid": [12, 2, 12], "step": [1.5, 1.5, 1.5] } },
                 { "asset": "cloud", "scale": 0.6, "translate": [0.75, 0, 0.75],
                   "repeat": { "grid": [12, 2, 12], "step": [1.5, 1.5, 1.5] } },
@@ -68,7 +99,7 @@ fn views() -> Vec<FrameRequest> {
         FrameRequest { pose: Pose::Camera(camera), ..front("rows", 170, 131) }
     };
     let mut views: Vec<FrameRequest> = looks.into_iter().map(view).collect();
-    // The same rows as parallel rays see them.
+    // Parallel rays see these rows as well.
     let flat = |request: &FrameRequest| {
         let settings = Settings { projection: Some(Projection::Orthographic), ..request.settings };
         FrameRequest { settings, ..request.clone() }
@@ -86,6 +117,7 @@ fn settings() -> Vec<Settings> {
         splats,
         spt(0.5, points),
         spt(2.0, points),
+        Settings::drawn_as(Reconstruct::PullPush),
         small,
         Settings { filter: Some(Filter::Exact), blend: Some(Blend::Opaque), ..splats },
         Settings { reconstruct: Reconstruct::Fuzzy, ..splats },
@@ -110,7 +142,7 @@ fn frames_are_those_that_draw_what_is_hidden() {
             views().into_iter().take(2).map(|view| FrameRequest { scene: "wide".into(), ..view });
         for (number, view) in views().into_iter().chain(wide).enumerate() {
             // All filters for the first view.
-            for settings in settings().into_iter().take(if number == 0 { usize::MAX } else { 5 }) {
+            for settings in settings().into_iter().take(if number == 0 { usize::MAX } else { 6 }) {
                 // Ids show anything that is missing.
                 let outputs = if number == 0 { &OUTPUTS[..] } else { &[Output::Id] };
                 for &output in outputs {
@@ -149,7 +181,7 @@ fn every_pass_is_recorded_by_some_frame_in_the_order_of_the_table() {
             studio
         });
         let shaped = Settings { edl: Edl::On, ..Settings::drawn_as(Reconstruct::Points) };
-        for settings in settings().into_iter().take(7).chain([shaped]) {
+        for settings in settings().into_iter().take(8).chain([shaped]) {
             let request = FrameRequest { settings, ..views().remove(0) };
             for studio in &studios {
                 let receipt = &studio.frame(&request).receipt;

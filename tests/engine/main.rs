@@ -21,6 +21,7 @@ mod hard_scenes;
 mod hidden;
 mod large_triangles;
 mod limits;
+mod lines;
 mod loss;
 mod memory;
 mod paging;

@@ -185,7 +185,7 @@ fn a_budget_counts_lists_too() {
     }
     assert_eq!(residency.evictions(), 3);
     assert_eq!(residency.ids().count(), 3);
-    // The same asset in another scene only needs memory for lists.
+    // That asset in another scene only needs memory for lists.
     let uploads = residency.uploads();
     let again = SceneModel { uid: 99, id: "other".to_owned(), ..SceneModel::clone(&scenes[5]) };
     residency.ensure(&gpu, &Arc::new(again)).unwrap();

@@ -71,7 +71,7 @@ fn an_obj_with_materials_and_textures() {
     sees_change(&studio, "quad.obj", &|| studio.write("paint.png", png([30, 200, 30])), &|| {
         studio.write("paint.png", png([200, 30, 30]))
     });
-    // The same through a scene file.
+    // A scene file names it, too.
     studio.write(
         "scene.json",
         json!({ "assets": { "q": { "file": "quad.obj" } }, "nodes": [{ "asset": "q" }] })

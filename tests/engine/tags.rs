@@ -1,4 +1,4 @@
-//! Entity tags are equal exactly if requests are equivalent.
+//! Entity tags are equal for equivalent requests, and differ where frames may.
 
 use std::collections::HashMap;
 

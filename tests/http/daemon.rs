@@ -9,6 +9,9 @@ use std::time::{Duration, Instant};
 
 use super::client::Client;
 
+/// File in a daemon's folder that says how many frames of a video it codes before it holds.
+const HOLD: &str = "hold-coding";
+
 pub struct Daemon {
     child: Child,
     pub address: SocketAddr,
@@ -222,6 +225,7 @@ impl Daemon {
             .env_remove("POINTILLIST_CONFIG")
             .env("POINTILLIST_NO_CACHE", "true")
             .env("POINTILLIST_NO_PRIME", "true")
+            .env("POINTILLIST_HOLD_CODING", folder.path().join(HOLD))
             .envs(environment.iter().copied())
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
@@ -255,6 +259,21 @@ impl Daemon {
             panic!("the daemon did not start: {greeting:?}\n{log}");
         };
         Daemon { child, address, folder, greeting, limit_kib: None }
+    }
+
+    /// Holds the coding of videos after so many frames, or lets it go on.
+    #[cfg(feature = "video")]
+    pub fn hold_coding(&self, frames: Option<u64>) {
+        let file = self.folder.path().join(HOLD);
+        match frames {
+            Some(frames) => {
+                // Renamed into its place, so that nobody reads half of it.
+                let whole = file.with_extension("new");
+                std::fs::write(&whole, frames.to_string()).unwrap();
+                std::fs::rename(whole, file).unwrap();
+            }
+            None => std::fs::remove_file(file).unwrap_or_default(),
+        }
     }
 
     pub fn client(&self) -> Client {

@@ -133,6 +133,9 @@ fn loops_until_the_client_goes() {
     assert_eq!(Film::open(&client, "path=past&fps=2&w=8&h=8").rest().len(), 2);
 }
 
+/// Frames of another client between two looks at the number of all frames.
+const OWN_FRAMES: u32 = 8;
+
 #[test]
 fn nothing_is_drawn_for_who_does_not_read() {
     let daemon =
@@ -140,12 +143,21 @@ fn nothing_is_drawn_for_who_does_not_read() {
     let client = daemon.client();
     let mut film = Film::open(&client, "path=past&loop=true&fps=120&w=1600&h=1200&quality=100");
     film.part().unwrap();
-    let mut before = 0.0;
-    // The buffers between server and client hold some frames, then no more are drawn.
+    // The buffers between server and client hold some frames, then no more are drawn. Clients get equal shares of the device, so another
+    // client's frames of the same size tell how often the film could have been drawn meanwhile.
+    let drawn = || client.metric("pointillist_engine_frames_total");
+    let mut view = 0;
     eventually("a standstill", || {
-        std::thread::sleep(std::time::Duration::from_millis(700));
-        let drawn = client.metric("pointillist_engine_frames_total");
-        std::mem::replace(&mut before, drawn) == drawn
+        let before = drawn();
+        for _ in 0..OWN_FRAMES {
+            view += 1;
+            let query = format!(
+                "eye=0,0,{}&target=0,0,0&w=1600&h=1200&format=jpeg",
+                3.0 + 0.01 * f64::from(view)
+            );
+            assert_eq!(client.get(&format!("/v1/scenes/grid/frame?{query}")).status, 200);
+        }
+        drawn() - before == f64::from(OWN_FRAMES)
     });
     // A client that reads on sees the path at the current time.
     for _ in 0..3 {
@@ -157,19 +169,26 @@ fn nothing_is_drawn_for_who_does_not_read() {
 fn a_film_that_nobody_reads_gives_its_place_back() {
     let daemon = Daemon::start(&["--max-streams", "2", "--stream-idle-seconds", "1"]);
     let client = daemon.client();
-    // One client reads a part and then nothing. Another reads a view that does not change.
-    let mut stalled = Film::open(&client, "path=past&loop=true&fps=120&w=900&h=900&quality=100");
-    stalled.part().unwrap();
+    // One client reads a view that does not change.
     let mut read = Film::open(&client, "camera=front&w=64&h=64");
     read.part().unwrap();
     let places = || client.metric("pointillist_streams_open");
-    assert_eq!(places(), 2.0);
-    eventually("the place of who does not read to be free", || places() == 1.0);
-    std::thread::sleep(std::time::Duration::from_secs(2));
+    // Others read a part and then nothing. Each of them is given the same second, which the first client has waited after two of them.
+    for _ in 0..2 {
+        let query = "path=past&loop=true&fps=120&w=900&h=900&quality=100";
+        let mut stalled = Film::open(&client, query);
+        stalled.part().unwrap();
+        eventually("the place of who does not read to be free", || places() < 2.0);
+        // The connection breaks, so that the client does not take this for the end of the film.
+        let mut rest = Vec::new();
+        assert!(stalled.body.read_to_end(&mut rest).is_err());
+    }
     assert_eq!(places(), 1.0, "who waits for a picture to change reads");
-    // The connection breaks, so that the client does not take this for the end of the film.
-    let mut rest = Vec::new();
-    assert!(stalled.body.read_to_end(&mut rest).is_err());
+    let body = json!({"translate": [0.5, 0, 0]}).to_string();
+    let json = [("content-type", "application/json")];
+    let node = "/v1/scenes/grid/nodes/wall";
+    assert_eq!(client.send("PATCH", node, &json, Some(body.as_bytes())).status, 200);
+    assert_eq!(read.part().unwrap().number, 1, "the picture changes");
 }
 
 #[test]

@@ -97,7 +97,7 @@ fn a_flood_is_closed_and_a_busy_client_is_not() {
 
     let mut flood = Stream::open(&daemon, GRID);
     let mut sender = flood.socket.get_ref().try_clone().unwrap();
-    // The same masked text repeatedly.
+    // One masked text, repeatedly.
     let text = br#"{"seq":1,"eye":[3,2,4],"target":[0,0,0]}"#;
     let one = [&[0x81, 0x80 | text.len() as u8, 0, 0, 0, 0], &text[..]].concat();
     let sending = std::thread::spawn(move || {

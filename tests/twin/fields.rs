@@ -131,7 +131,7 @@ fn clouds_with_different_fields_share_one_range() {
         ],
     });
     let a = measured(3000, 62, 0.0);
-    // The same field at another place among others, on another scale.
+    // That field at another place among others, on another scale.
     let mut b = measured(3000, 63, 5.0);
     b.fields.reverse();
     let files = [("a.ply", a.ply()), ("b.ply", b.ply()), ("c.ply", ball(2000, 64).ply())];

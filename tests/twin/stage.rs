@@ -159,7 +159,12 @@ impl Case {
         let wide = frames(&WIDE, &self.id, view, settings);
         let narrow = frames(&NARROW, &self.id, view, settings);
         for pass in &narrow.receipt.passes {
-            let second = [Pass::ProjectSamplesId, Pass::ProjectSplatsId, Pass::ProjectTrianglesId];
+            let second = [
+                Pass::ProjectSamplesId,
+                Pass::ProjectSplatsId,
+                Pass::ProjectTrianglesId,
+                Pass::ProjectLinesId,
+            ];
             if pass.ran && second.iter().any(|second| second.name() == pass.name) {
                 assert!(wide.same_pixels(&narrow), "{}: the 32-bit path differs", self.id);
                 return wide;

@@ -33,7 +33,7 @@ pub(super) struct Buffers<'a> {
     file: &'a str,
     reads_left: Cell<u64>,
     kept_left: Cell<u64>,
-    admission: Admission,
+    pub(super) admission: Admission,
 }
 
 /// Items in a buffer, a stride apart.

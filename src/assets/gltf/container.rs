@@ -5,7 +5,7 @@ use std::io::Read;
 use ::gltf::json::Root;
 use serde::Deserialize;
 
-use super::super::AssetError;
+use super::super::{AssetError, base64};
 use crate::json::{self, Limits};
 use crate::memory::Admission;
 
@@ -112,36 +112,17 @@ pub(super) fn parse(json: &[u8], file: &str, admission: &Admission) -> Result<Ro
 /// The bytes of a `data:` URI; `None` when `uri` is something else.
 pub(super) fn data_uri(uri: &str) -> Option<Result<Vec<u8>, String>> {
     let (head, body) = uri.strip_prefix("data:")?.split_once(',')?;
-    Some(if head.ends_with(";base64") { base64(body) } else { Ok(percent_decoded(body)) })
-}
-
-/// Base 64 (RFC 4648), padded or not.
-fn base64(text: &str) -> Result<Vec<u8>, String> {
-    let text = text.trim_end_matches('=');
-    let mut bytes = Vec::with_capacity(text.len() / 4 * 3 + 2);
-    let (mut bits, mut held) = (0u32, 0);
-    for byte in text.bytes() {
-        let value = match byte {
-            b'A'..=b'Z' => byte - b'A',
-            b'a'..=b'z' => byte - b'a' + 26,
-            b'0'..=b'9' => byte - b'0' + 52,
-            b'+' | b'-' => 62,
-            b'/' | b'_' => 63,
-            b'\r' | b'\n' | b' ' => continue,
-            _ => return Err("its data URI is no base 64".to_owned()),
-        };
-        bits = bits << 6 | u32::from(value);
-        held += 6;
-        if held >= 8 {
-            held -= 8;
-            bytes.push((bits >> held) as u8);
-        }
-    }
-    Ok(bytes)
+    let is_base64 = head.ends_with(";base64");
+    Some(if is_base64 {
+        let bytes = base64::decode(body.as_bytes(), usize::MAX);
+        bytes.ok_or_else(|| "its data URI is no base 64".to_owned())
+    } else {
+        Ok(percent_decoded(body))
+    })
 }
 
 /// `%20` and its kind undone.
-pub(super) fn percent_decoded(text: &str) -> Vec<u8> {
+pub(in crate::assets) fn percent_decoded(text: &str) -> Vec<u8> {
     let bytes = text.as_bytes();
     let mut decoded = Vec::with_capacity(bytes.len());
     let mut at = 0;

@@ -1,5 +1,7 @@
 //! Primitives to geometries.
 
+mod lines;
+
 use std::collections::HashMap;
 use std::rc::Rc;
 
@@ -31,7 +33,7 @@ pub(super) struct Primitives<'a> {
 
 /// A vertex's attributes, in parallel.
 #[derive(Clone)]
-struct Attributes {
+pub(super) struct Attributes {
     positions: Vec<DVec3>,
     normals: Option<Vec<Vec3>>,
     uvs: Option<Vec<Vec2>>,
@@ -97,10 +99,6 @@ impl<'a> Primitives<'a> {
             Checked::Valid(mode) => mode,
             Checked::Invalid => return Err(fail("mode is unknown".to_owned())),
         };
-        if matches!(mode, Mode::Lines | Mode::LineLoop | Mode::LineStrip) {
-            self.warnings.push(format!("{place}: lines are ignored, they are not offered yet"));
-            return Ok(None);
-        }
         let Some(position) = attribute(primitive, Semantic::Positions) else {
             self.warnings.push(format!("{place}: has no POSITION and is left out"));
             return Ok(None);
@@ -141,6 +139,9 @@ impl<'a> Primitives<'a> {
         }
         if mode == Mode::Points {
             return self.points(attributes, primitive.indices.is_some(), indices, place);
+        }
+        if matches!(mode, Mode::Lines | Mode::LineLoop | Mode::LineStrip) {
+            return self.lines(primitive, mode, &attributes, &indices, place);
         }
         let triangles = self.triangles(mode, &indices, place)?;
         self.mesh(attributes, triangles, material.map(|(number, _)| number), place)

@@ -103,7 +103,7 @@ fn read_bytes(bytes: Vec<u8>) -> Result<Asset, AssetError> {
 fn mesh(asset: &Asset, at: usize) -> &Mesh {
     match &asset.geometries[at] {
         Geometry::Mesh(mesh) => mesh,
-        Geometry::Points(_) => panic!("points"),
+        _ => panic!("points"),
     }
 }
 
@@ -171,7 +171,54 @@ fn strips_fans_points_and_lines() {
     assert_eq!(mesh(&asset, 1).triangles, [[0, 1, 2], [0, 2, 3]]);
     assert!(matches!(&asset.geometries[2], Geometry::Points(PointCloud { positions, .. })
         if positions.len() == 4));
-    assert_eq!((asset.geometries.len(), asset.warnings.len()), (3, 1));
+    assert!(matches!(&asset.geometries[3], Geometry::Lines(_)));
+    assert_eq!((asset.geometries.len(), asset.warnings.len()), (4, 0));
+}
+
+#[test]
+fn lines_are_strands() {
+    let mut document = Document::new();
+    let position = document.square();
+    let color = document.floats(&[1.0, 0.0, 0.0].repeat(4), "VEC3");
+    let bytes: Vec<u8> = [0.5f32, 0.25, 2.0, -1.0].iter().flat_map(|r| r.to_le_bytes()).collect();
+    let radius = document.accessor(&bytes, "SCALAR", 5126, 4);
+    let few = document.accessor(&bytes, "SCALAR", 5126, 3);
+    let joined = document.accessor(&[0, 1, 1, 2, 0, 3, 1], "SCALAR", 5121, 7);
+    let single = document.accessor(&[2], "SCALAR", 5121, 1);
+    let attributes = json!({ "POSITION": position, "COLOR_0": color, "_RADIUS": radius });
+    let primitives = json!([
+        { "attributes": attributes, "mode": 1, "indices": joined },
+        { "attributes": attributes, "mode": 2 },
+        { "attributes": { "POSITION": position, "_RADIUS": few }, "mode": 3 },
+        { "attributes": { "POSITION": position }, "mode": 3, "indices": single },
+    ]);
+    document.push("meshes", json!({ "primitives": primitives }));
+    document.node(json!({ "mesh": 0 }));
+    let asset = document.read().unwrap();
+    let lines: Vec<_> = asset
+        .geometries
+        .iter()
+        .map(|geometry| match geometry {
+            Geometry::Lines(lines) => lines,
+            _ => panic!("no lines"),
+        })
+        .collect();
+    assert_eq!(lines.len(), 3);
+    assert_eq!(lines[0].strands, [0, 3, 5]);
+    assert_eq!(lines[0].radii.as_ref().unwrap()[..], [0.5, 0.25, 2.0, 0.5, 0.0]);
+    assert_eq!(lines[0].colors.as_ref().unwrap()[4], [255, 0, 0, 255]);
+    assert_eq!(lines[1].strands, [0, 5], "a loop");
+    assert_eq!(lines[1].positions[4], lines[1].positions[0]);
+    assert_eq!(lines[2].strands, [0, 4]);
+    assert!(lines[2].radii.is_none() && lines[2].colors.is_none());
+    for expected in [
+        "primitives[0]: the last line lacks an end",
+        "primitives[0]: 1 radius is negative",
+        "primitives[2]: _RADIUS has another number of items",
+        "primitives[3] is left out",
+    ] {
+        assert!(asset.warnings.iter().any(|text| text.contains(expected)), "{:?}", asset.warnings);
+    }
 }
 
 #[test]

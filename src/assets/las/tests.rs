@@ -14,7 +14,7 @@ fn read_bytes(bytes: &[u8]) -> Result<Asset, AssetError> {
 fn points_of(asset: &Asset) -> &PointCloud {
     match &asset.geometries[0] {
         Geometry::Points(cloud) => cloud,
-        Geometry::Mesh(_) => panic!("a LAS file holds points"),
+        _ => panic!("a LAS file holds points"),
     }
 }
 

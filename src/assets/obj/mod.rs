@@ -2,11 +2,12 @@
 //!
 //! Positions, texture coordinates and normals have indices of their own in OBJ; every combination
 //! that a face uses becomes one vertex. Positions are read in f64, colours behind them (`v x y z r g
-//! b`) are sRGB. Polygons are cut into triangles, which are sorted by material into runs. A file
-//! without faces is a point cloud.
+//! b`) are sRGB. Polygons are cut into triangles, which are sorted by material into runs. Line elements
+//! become strands, a geometry of their own beside the mesh. A file with neither is a point cloud.
 //!
 //! MTL's `Kd` and `Ks` are what most viewers put on the screen unchanged, so they are taken as sRGB.
 
+mod lines;
 mod mtl;
 mod weave;
 
@@ -16,12 +17,13 @@ mod tests;
 use std::collections::HashMap;
 use std::path::Path;
 
-use glam::{DVec3, Vec2, Vec3};
+use glam::{DAffine3, DVec3, Vec2, Vec3};
 
+use self::lines::LineElements;
 use super::input::{Input, Origin};
 use super::tokens::{Lines, Tokens, number, shown};
 use super::warnings::counted;
-use super::{Asset, AssetError, Geometry, PointCloud, ReadOptions, tidy};
+use super::{Asset, AssetError, Geometry, Placement, PointCloud, ReadOptions, tidy};
 use crate::memory::Meter;
 
 /// Bytes of a name in a list and in a map.
@@ -84,7 +86,7 @@ struct Statements<'a> {
     material: u32,
     libraries: Vec<String>,
     short_faces: u64,
-    lines: u64,
+    line_elements: LineElements,
     unknown: u64,
 }
 
@@ -107,7 +109,7 @@ impl<'a> Statements<'a> {
             material: NONE,
             libraries: Vec::new(),
             short_faces: 0,
-            lines: 0,
+            line_elements: LineElements::default(),
             unknown: 0,
         }
     }
@@ -118,7 +120,7 @@ impl<'a> Statements<'a> {
         let attributes = 8 * self.uvs.len() + 12 * self.normals.len();
         let faces = 12 * self.faces.len() + 12 * self.corners.len();
         let names = NAME_BYTES * (self.material_names.len() + self.libraries.len());
-        (vertices + attributes + faces + names) as u64
+        (vertices + attributes + faces + names) as u64 + self.line_elements.bytes()
     }
 
     fn line(&mut self, mut tokens: Tokens, line: u64) -> Result<(), AssetError> {
@@ -164,7 +166,10 @@ impl<'a> Statements<'a> {
             }
             b"usemtl" => self.material = self.material_number(&tokens.rest()),
             b"mtllib" => self.libraries.push(tokens.rest()),
-            b"l" => self.lines += 1,
+            b"l" => {
+                let fault = fault(format!("line element {}", self.line_elements.len()));
+                self.line_element(tokens, line).map_err(fault)?;
+            }
             b"g" | b"o" | b"s" | b"p" | b"vp" | b"usemap" | b"maplib" | b"lod" | b"end" => {}
             _ if keyword.starts_with(b"#") => {}
             _ => self.unknown += 1,
@@ -266,11 +271,6 @@ impl<'a> Statements<'a> {
                 "faces with fewer than three corners are left out",
             ),
             (
-                self.lines,
-                "line element is ignored: lines are not offered yet",
-                "line elements are ignored: lines are not offered yet",
-            ),
-            (
                 self.unknown,
                 "statement is unknown and ignored",
                 "statements are unknown and ignored",
@@ -278,31 +278,49 @@ impl<'a> Statements<'a> {
         ] {
             warnings.extend(counted(count, one, many));
         }
-        let mut asset = if self.faces.is_empty() {
-            let cloud = self.into_cloud(&mut warnings);
-            let cloud = tidy::finish_cloud(cloud, &origin.name, &mut warnings)?;
-            Asset::single("obj", &origin.name, Geometry::Points(cloud))
-        } else {
-            // Every corner may become a vertex, found by a map.
-            let corners = self.corners.len() as u64;
-            options.admission.grow(&origin.name, corners * CORNER_BYTES)?;
-            let is_unnamed = self.libraries.is_empty() && !self.uvs.is_empty();
-            let (mesh, used) = self.weave(&mut warnings)?;
-            if is_unnamed
-                && let Some(image) = origin.folder.as_ref().and_then(|folder| folder.image())
-            {
-                warnings.push(format!(
+        let strands = self.strands(origin, options, &mut warnings)?.map(Geometry::Lines);
+        let (mut asset, strands) = match (self.faces.is_empty(), strands) {
+            (true, Some(strands)) => (Asset::single("obj", &origin.name, strands), None),
+            (true, None) => {
+                let cloud = self.into_cloud(&mut warnings);
+                let cloud = tidy::finish_cloud(cloud, &origin.name, &mut warnings)?;
+                (Asset::single("obj", &origin.name, Geometry::Points(cloud)), None)
+            }
+            (false, strands) => {
+                // Every corner may become a vertex, found by a map.
+                let corners = self.corners.len() as u64;
+                options.admission.grow(&origin.name, corners * CORNER_BYTES)?;
+                let is_unnamed = self.libraries.is_empty() && !self.uvs.is_empty();
+                let (mesh, used) = self.weave(&mut warnings)?;
+                if is_unnamed
+                    && let Some(image) = origin.folder.as_ref().and_then(|folder| folder.image())
+                {
+                    warnings.push(format!(
                     "{image} is not used: the file has texture coordinates, but names no material library (mtllib) that would name the image"
                 ));
+                }
+                let mesh = tidy::finish_mesh(mesh, &origin.name, &mut warnings)?;
+                let mut asset = Asset::single("obj", &origin.name, Geometry::Mesh(mesh));
+                let library = mtl::read(
+                    &self.libraries,
+                    &used,
+                    origin.folder.as_ref(),
+                    options,
+                    &mut warnings,
+                );
+                asset.materials = library.materials;
+                asset.textures = library.textures;
+                (asset, strands)
             }
-            let mesh = tidy::finish_mesh(mesh, &origin.name, &mut warnings)?;
-            let mut asset = Asset::single("obj", &origin.name, Geometry::Mesh(mesh));
-            let library =
-                mtl::read(&self.libraries, &used, origin.folder.as_ref(), options, &mut warnings);
-            asset.materials = library.materials;
-            asset.textures = library.textures;
-            asset
         };
+        if let Some(strands) = strands {
+            asset.placements.push(Placement {
+                name: origin.name.clone(),
+                geometry: asset.geometries.len(),
+                asset_from_geometry: DAffine3::IDENTITY,
+            });
+            asset.geometries.push(strands);
+        }
         asset.warnings = warnings;
         Ok(asset)
     }

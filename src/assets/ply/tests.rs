@@ -11,14 +11,14 @@ fn read(bytes: impl Into<Vec<u8>>) -> Result<Asset, AssetError> {
 fn cloud(asset: &Asset) -> &PointCloud {
     match &asset.geometries[0] {
         Geometry::Points(cloud) => cloud,
-        Geometry::Mesh(_) => panic!("a mesh"),
+        _ => panic!("a mesh"),
     }
 }
 
 fn mesh(asset: &Asset) -> &Mesh {
     match &asset.geometries[0] {
         Geometry::Mesh(mesh) => mesh,
-        Geometry::Points(_) => panic!("points"),
+        _ => panic!("points"),
     }
 }
 

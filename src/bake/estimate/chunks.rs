@@ -6,7 +6,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::super::kernels::{Bounds as KernelBounds, CUTOFF, Fit, circle, fit};
-use super::super::neighbors::{Neighbors, PointTree, settled};
+use super::super::neighbors::{Near, Nearby, Neighbors, PointTree, settled};
 use super::super::normals::{Frame, NORMAL_NEIGHBORS, is_radius};
 use super::super::pack::CHUNK;
 use crate::assets::{Kernel, PointCloud};
@@ -137,7 +137,7 @@ impl<'a> Chunks<'a> {
         let (fits, reaches): (Vec<Fit>, Vec<(usize, f32)>) = ranks
             .into_par_iter()
             .map(|rank| {
-                let (fitted, reach) = self.neighborhood(self.order[rank], f32::INFINITY);
+                let (fitted, reach) = self.neighborhood(self.order[rank]);
                 (fitted.fit, (rank, reach))
             })
             .unzip();
@@ -162,25 +162,26 @@ impl<'a> Chunks<'a> {
             }
             let farthest = farthest(&neighbors);
             // Any points at the same position are equally good neighbours.
-            if farthest * SLACK <= reach || farthest == 0.0 {
-                Some((point.slot, self.fitted(&neighbors, point.index), None))
-            } else {
-                Some((point.slot, Fitted::default(), Some(farthest)))
-            }
+            let is_complete = farthest * SLACK <= reach || farthest == 0.0;
+            let found = is_complete.then(|| self.fitted(&neighbors, point.index));
+            let fitted = found.filter(|(_, needed)| *needed == 0.0 || needed * SLACK <= reach);
+            Some((point.slot, fitted.map(|(fitted, _)| fitted)))
         });
         drop(tree);
         let mut out = vec![Fitted::default(); ranks.len()];
         let mut strays = Vec::new();
-        for (slot, fitted, farthest) in found.into_iter().flatten() {
-            out[slot as usize] = fitted;
-            strays.extend(farthest.map(|farthest| (slot, farthest)));
+        for (slot, fitted) in found.into_iter().flatten() {
+            match fitted {
+                Some(fitted) => out[slot as usize] = fitted,
+                None => strays.push(slot),
+            }
         }
         // A margin that was cut down holds too few points to bound the distance of neighbours.
         let completed: Vec<(u32, Fitted)> = strays
             .into_par_iter()
-            .map(|(slot, farthest)| {
+            .map(|slot| {
                 let index = self.order[ranks.start + slot as usize];
-                (slot, self.neighborhood(index, farthest).0)
+                (slot, self.neighborhood(index).0)
             })
             .collect();
         for (slot, fitted) in completed {
@@ -233,15 +234,14 @@ impl<'a> Chunks<'a> {
         }
     }
 
-    /// Estimates one point from all others; also returns the squared distance of its farthest neighbour. `most` bounds that
-    /// distance.
-    fn neighborhood(&self, index: u32, most: f32) -> (Fitted, f32) {
+    /// Estimates one point from all others; also returns the squared distance of its farthest neighbour.
+    fn neighborhood(&self, index: u32) -> (Fitted, f32) {
         let place = self.place(index);
         let point = Extent([place; 2]);
-        let mut nearest = Nearest { most, found: Vec::with_capacity(NORMAL_NEIGHBORS + 1) };
+        let mut nearby = Nearby::default();
         let mut stack = vec![1];
         while let Some(node) = stack.pop() {
-            if self.boxes[node].distance(&point) > nearest.bound() * SLACK {
+            if self.boxes[node].distance(&point) > nearby.bound() * SLACK {
                 continue;
             }
             if node < self.leaves {
@@ -258,19 +258,16 @@ impl<'a> Chunks<'a> {
             let is_place = self.boxes[node].is_place();
             for &other in self.order[self.ranks(chunk)].iter().filter(|&&other| other != index) {
                 // Points at one position are sorted by index: if one is rejected, all that follow are as well.
-                if !nearest.add(place, self.place(other), other) && is_place {
+                if !nearby.add(Near::new(self.place(other), place, other)) && is_place {
                     break;
                 }
             }
         }
-        let mut all: Vec<(u32, [f32; 3])> =
-            nearest.found.iter().map(|&(_, index, place)| (index, place)).collect();
-        all.push((index, place));
-        all.sort_unstable_by_key(|&(index, _)| index);
+        let all = nearby.with_own(index, place);
         let tree = PointTree::new(all.iter().map(|&(_, place)| place));
         let found = tree.map_neighbors(NORMAL_NEIGHBORS, |neighbors| {
             let is_own = all[tree.order()[neighbors.place] as usize].0 == index;
-            is_own.then(|| (self.fitted(&neighbors, index), farthest(&neighbors)))
+            is_own.then(|| (self.fitted(&neighbors, index).0, farthest(&neighbors)))
         });
         found.into_iter().flatten().next().unwrap_or((Fitted::default(), f32::INFINITY))
     }
@@ -279,15 +276,16 @@ impl<'a> Chunks<'a> {
         self.cloud.normals.as_ref().map_or(Vec3::ZERO, |normals| normals[index as usize])
     }
 
-    fn fitted(&self, neighbors: &Neighbors, index: u32) -> Fitted {
+    /// Also returns up to which squared distance the estimates depend on other points than the neighbours; 0 where they do not.
+    fn fitted(&self, neighbors: &Neighbors, index: u32) -> (Fitted, f32) {
         let normal = if self.wanted.normals { self.frame.normal(neighbors) } else { Vec3::ZERO };
         let given = self.given_normal(index);
         let own = if given == Vec3::ZERO { normal } else { given };
-        let fit = match self.wanted.kernels {
-            true => fit(neighbors, own, given != Vec3::ZERO).scaled(self.frame.size),
-            false => Fit::default(),
+        let (fit, needed) = match self.wanted.kernels {
+            true => fit(neighbors, own, given != Vec3::ZERO),
+            false => (Fit::default(), 0.0),
         };
-        Fitted { normal, fit }
+        (Fitted { normal, fit: fit.scaled(self.frame.size) }, needed)
     }
 
     /// Values from the file take precedence over estimates.
@@ -322,35 +320,5 @@ fn farthest(neighbors: &Neighbors) -> f32 {
     match neighbors.len() == NORMAL_NEIGHBORS {
         true => neighbors.distances_squared().last().unwrap_or(f32::INFINITY),
         false => f32::INFINITY,
-    }
-}
-
-/// The nearest points so far, nearest first.
-struct Nearest {
-    most: f32,
-    found: Vec<(f32, u32, [f32; 3])>,
-}
-
-impl Nearest {
-    /// Squared distance beyond which points do not count.
-    fn bound(&self) -> f32 {
-        match self.found.get(NORMAL_NEIGHBORS - 1) {
-            Some(&(farthest, ..)) => farthest,
-            None => self.most,
-        }
-    }
-
-    /// Adds a point; returns whether it is among the nearest.
-    fn add(&mut self, [x, y, z]: [f32; 3], place: [f32; 3], index: u32) -> bool {
-        let (dx, dy, dz) = (place[0] - x, place[1] - y, place[2] - z);
-        let distance = dx * dx + dy * dy + dz * dz;
-        if distance > self.bound() {
-            return false;
-        }
-        let before = |other: &&(f32, u32, [f32; 3])| (other.0, other.1) < (distance, index);
-        let at = self.found.iter().take_while(before).count();
-        self.found.insert(at, (distance, index, place));
-        self.found.truncate(NORMAL_NEIGHBORS);
-        at < NORMAL_NEIGHBORS
     }
 }

@@ -12,7 +12,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::super::kernels::{Bounds, Fit, circle, fit};
-use super::super::neighbors::{Neighbors, PointTree};
+use super::super::neighbors::{AROUND, Nearby, Neighbors, PointTree, settled};
 use super::super::normals::{NORMAL_NEIGHBORS, stride};
 use super::pieces::Place;
 use super::points::{Point, Points};
@@ -129,21 +129,24 @@ impl Fitted {
         Kernel { u: self.u.into(), v: self.v.into() }
     }
 
-    /// Builds the estimate from the neighbours of a point with this normal, if it is not zero.
-    fn of(points: &Points, neighbors: &Neighbors, given: Vec3) -> Fitted {
+    /// Builds the estimate from the neighbours of a point with this normal, if it is not zero. Also returns up to which squared distance
+    /// the estimate depends on other points than the neighbours; 0 where it does not.
+    fn of(points: &Points, neighbors: &Neighbors, given: Vec3) -> (Fitted, f32) {
         let normal = if points.lacks_normals { points.frame.normal(neighbors) } else { Vec3::ZERO };
         let own = if given == Vec3::ZERO { normal } else { given };
-        let Fit { kernel, most, is_grouped } = match points.lacks_kernels {
-            true => fit(neighbors, own, given != Vec3::ZERO).scaled(points.frame.size),
-            false => Fit::default(),
+        let (fit, needed) = match points.lacks_kernels {
+            true => fit(neighbors, own, given != Vec3::ZERO),
+            false => (Fit::default(), 0.0),
         };
-        Fitted {
+        let Fit { kernel, most, is_grouped } = fit.scaled(points.frame.size);
+        let fitted = Fitted {
             normal: normal.into(),
             u: kernel.u.into(),
             v: kernel.v.into(),
             most,
             is_grouped: is_grouped.into(),
-        }
+        };
+        (fitted, needed)
     }
 }
 
@@ -182,7 +185,7 @@ struct Found {
     strays: Vec<Stray>,
 }
 
-/// A point whose neighbours may lie outside the points in memory, with a bound on their squared distance.
+/// A point whose surroundings may lie outside the points in memory, with a bound on the squared distance of what matters.
 struct Stray {
     slot: u32,
     farthest: f32,
@@ -225,10 +228,12 @@ fn near(points: &Points, number: usize, work: &Work) -> io::Result<Found> {
         // Any neighbours at the same position are equally good.
         if alone || farthest * SLACK <= reach || farthest == 0.0 {
             let given = given.get(slot as usize).copied().unwrap_or(Vec3::ZERO);
-            Some((Fitted::of(points, &neighbors, given), None))
-        } else {
-            Some((Fitted::default(), Some(farthest)))
+            let (fitted, needed) = Fitted::of(points, &neighbors, given);
+            if alone || needed == 0.0 || needed * SLACK <= reach {
+                return Some((fitted, None));
+            }
         }
+        Some((Fitted::default(), Some(neighbors.around(&mut Vec::new()))))
     });
     let mut out = Found { fitted: vec![Fitted::default(); count], strays: Vec::new() };
     for (&id, found) in tree.order().iter().zip(found) {
@@ -249,7 +254,7 @@ fn usual_reach(local: &[Local]) -> f32 {
         .map(|point| {
             let mut found = Vec::new();
             // The search also finds the point itself.
-            tree.nearest(point.place, NORMAL_NEIGHBORS + 1, &mut found);
+            tree.nearest(point.place, AROUND + 1, &mut found);
             found.last().map_or(0.0, |&(distance, _)| distance)
         })
         .collect();
@@ -295,9 +300,9 @@ struct Waiting {
     at: u64,
     place: [f32; 3],
     index: u32,
-    /// Bound on the squared distance of neighbours.
+    /// Bound on the squared distance of all points that the estimates depend on.
     farthest: f32,
-    found: Nearest,
+    found: Nearby,
 }
 
 impl Waiting {
@@ -305,30 +310,7 @@ impl Waiting {
         let mut place = [Place::zeroed()];
         points.places.read(at, &mut place)?;
         let [Place { at: place, index }] = place;
-        Ok(Waiting { at, place, index, farthest, found: Nearest::default() })
-    }
-}
-
-/// The nearest points so far, nearest first.
-#[derive(Clone, Copy, Default)]
-struct Nearest {
-    count: usize,
-    found: [(f32, u32, [f32; 3]); NORMAL_NEIGHBORS],
-}
-
-impl Nearest {
-    fn known(&self) -> &[(f32, u32, [f32; 3])] {
-        &self.found[..self.count]
-    }
-
-    fn add(&mut self, distance: f32, index: u32, place: [f32; 3]) {
-        let before = |other: &&(f32, u32, [f32; 3])| (other.0, other.1) < (distance, index);
-        let at = self.known().iter().take_while(before).count();
-        if at < NORMAL_NEIGHBORS {
-            self.count = (self.count + 1).min(NORMAL_NEIGHBORS);
-            self.found[at..self.count].rotate_right(1);
-            self.found[at] = (distance, index, place);
-        }
+        Ok(Waiting { at, place, index, farthest, found: Nearby::default() })
     }
 }
 
@@ -348,30 +330,20 @@ fn complete(
         local.par_sort_unstable_by_key(|place| place.index);
         let tree = PointTree::new(local.iter().map(|place| place.at));
         waiting.par_iter_mut().filter(|point| wanted(point)).for_each(|point| {
-            let mut near = Vec::new();
-            tree.nearest(point.place, NORMAL_NEIGHBORS + 1, &mut near);
-            for (distance, id) in near {
-                let Place { at, index } = local[id as usize];
-                if index != point.index {
-                    point.found.add(distance, index, at);
-                }
-            }
-            if let Some(&(farthest, ..)) = point.found.known().get(NORMAL_NEIGHBORS - 1) {
-                point.farthest = farthest;
-            }
+            let of_others =
+                |id: u32| Some(local[id as usize].index).filter(|id| *id != point.index);
+            tree.add_nearby(settled(point.place), &mut point.found, of_others);
+            point.farthest = point.farthest.min(point.found.bound());
         });
     }
     for point in waiting {
-        let mut all: Vec<(u32, [f32; 3])> =
-            point.found.known().iter().map(|&(_, index, place)| (index, place)).collect();
-        all.push((point.index, point.place));
-        all.sort_unstable_by_key(|&(index, _)| index);
+        let all = point.found.with_own(point.index, point.place);
         let tree = PointTree::new(all.iter().map(|&(_, place)| place));
         let mut own = [Point::zeroed()];
         points.file.read(point.at, &mut own)?;
         let found = tree.map_neighbors(NORMAL_NEIGHBORS, |neighbors| {
             let is_own = all[tree.order()[neighbors.place] as usize].0 == point.index;
-            is_own.then(|| Fitted::of(points, &neighbors, own[0].normal()))
+            is_own.then(|| Fitted::of(points, &neighbors, own[0].normal()).0)
         });
         let fitted = found.into_iter().flatten().next().unwrap_or_default();
         file.put(point.at, &fitted)?;

@@ -95,6 +95,48 @@ fn flat_samplings_have_no_holes() {
     assert!(open < 0.0005, "{open}");
 }
 
+/// Random samples of a ball lie about gaps of up to three mean distances. Disks cover every place that is looked at.
+#[test]
+fn random_samples_of_a_ball_leave_nothing_open() {
+    for seed in [21, 22] {
+        let mut random = noise(seed);
+        let mut place = || {
+            let height = 2.0 * random() - 1.0;
+            let (sin, cos) = (std::f64::consts::TAU * random()).sin_cos();
+            let width = (1.0 - height * height).sqrt();
+            DVec3::new(width * cos, width * sin, height)
+        };
+        let cloud = cloud((0..40_000).map(|_| place()).collect());
+        let tree = super::super::neighbors::PointTree::new(
+            cloud.positions.iter().map(|p| p.as_vec3().into()),
+        );
+        let mut near = Vec::new();
+        let mut open = 0;
+        for _ in 0..40_000 {
+            let at = place();
+            tree.nearest(at.as_vec3().into(), 24, &mut near);
+            open += usize::from(!near.iter().any(|&(_, i)| covers(&cloud, i as usize, at)));
+        }
+        assert_eq!(open, 0, "seed {seed}");
+    }
+}
+
+/// A border of random samples grows by about half the mean distance of samples.
+#[test]
+fn random_borders_do_not_grow() {
+    let mut random = noise(23);
+    let square = (0..10_000).map(|_| DVec3::new(100.0 * random(), 100.0 * random(), 0.0));
+    let cloud = cloud(square.collect());
+    let share = |beyond: f64| {
+        let places = (0..900).map(|i| DVec3::new(100.0 + beyond, 5.0 + 0.1 * f64::from(i), 0.0));
+        let rim: Vec<usize> = (0..10_000).filter(|&i| cloud.positions[i].x > 85.0).collect();
+        places.filter(|at| rim.iter().any(|&i| covers(&cloud, i, *at))).count() as f64 / 900.0
+    };
+    let found = [0.5, 1.0, 2.0].map(share);
+    println!("covered half a distance, one, and two beyond the border: {found:?}");
+    assert!(found[0] < 0.85 && found[1] < 0.4 && found[2] < 0.1, "{found:?}");
+}
+
 #[test]
 fn scan_lines_are_covered_by_long_kernels() {
     for (name, stagger, jitter) in
@@ -250,7 +292,6 @@ fn volumes_and_wires_get_small_round_kernels() {
     }
 }
 
-/// Edges are thick as neighbourhoods go, and stay closed; so does a noisy surface.
 /// A crown: clumps of leaves in a ball, dense within and sparse around.
 #[test]
 fn leaves_that_lie_flat_by_chance_get_no_large_kernels() {
@@ -274,6 +315,7 @@ fn leaves_that_lie_flat_by_chance_get_no_large_kernels() {
     assert!(longest < 2.5 * median, "{longest} {median}");
 }
 
+/// Edges are thick as neighbourhoods go, and stay closed; so does a noisy surface.
 #[test]
 fn edges_and_noise_leave_no_holes() {
     let mut positions = grid(40, 40, |x, y| [x, y]);

@@ -91,6 +91,40 @@ fn crowded_places_match_all_pairs() {
     }
 }
 
+/// The nearest places are those of all points, however many points are at one place.
+#[test]
+fn places_around_match_all_pairs() {
+    let mut random = noise(14);
+    let mut points: Vec<[f32; 3]> = (0..200).map(|_| [random(), random(), 0.0]).collect();
+    points.extend((0..400).map(|i| [(i % 20) as f32, (i / 20) as f32, 0.0]));
+    for place in 0..8 {
+        points.extend(vec![points[place * 31]; 5 + 9 * place]);
+    }
+    let tree = PointTree::new(points.iter().copied());
+    let found = tree.map_neighbors(12, |neighbors| {
+        let mut offsets = Vec::new();
+        let last = neighbors.around(&mut offsets);
+        (neighbors.position(), offsets, last)
+    });
+    for (own, offsets, last) in found {
+        let mut expected: Vec<(f32, u32, [f32; 3])> = (0..)
+            .zip(&points)
+            .filter(|(_, at)| **at != own)
+            .map(|(index, at)| (distance_squared(*at, own), index, *at))
+            .collect();
+        expected.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let mut places: Vec<(f32, [f32; 3])> = Vec::new();
+        for (distance, _, at) in expected {
+            if places.len() < AROUND && !places.iter().any(|(_, other)| *other == at) {
+                places.push((distance, at));
+            }
+        }
+        assert_eq!(last, places[AROUND - 1].0);
+        let expected = places.iter().map(|(_, at)| [0, 1, 2].map(|axis| at[axis] - own[axis]));
+        assert!(offsets.iter().copied().eq(expected), "{own:?}");
+    }
+}
+
 /// Work of a search for all neighbours, relative to that for as many random points.
 fn effort(points: Vec<[f32; 3]>) -> f64 {
     let visited = |points: &[[f32; 3]]| {

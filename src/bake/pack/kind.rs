@@ -10,7 +10,7 @@ use std::ops::{AddAssign, Deref, Range};
 
 use glam::{DVec3, IVec3};
 
-use super::{Grid, PackedChunk, PackedMesh, PackedSamples};
+use super::{Grid, PackedChunk, PackedLines, PackedMesh, PackedSamples};
 use crate::math::Bounds;
 
 /// Declares the kinds of geometry: for each its variant, its packed type, its number in cache entries and shaders, and the name of
@@ -142,6 +142,8 @@ kinds! {
     Samples(PackedSamples) = 0, samples;
     /// Triangles of meshes.
     Triangles(PackedMesh) = 1, triangles;
+    /// Segments of lines.
+    Lines(PackedLines) = 2, segments;
 }
 
 impl Sum for Counts {
@@ -207,7 +209,7 @@ pub struct Stream {
 /// The records that a stream has one element for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StreamOf {
-    /// Samples, triangles: what chunks count with `first` and `count`.
+    /// Samples, triangles, segments: what chunks count with `first` and `count`.
     Elements,
     /// Vertices: what chunks count with `vertex_first` and `vertex_count`.
     Vertices,

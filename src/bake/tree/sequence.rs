@@ -5,8 +5,8 @@ use rayon::prelude::*;
 
 use super::super::CUTOFF;
 use super::super::pack::{
-    CHUNK, Grid, NodeRange, PackedChunk, PackedRun, PackedSamples, Sample, Shape, fields_of,
-    joined, pack_run, value_words,
+    ALWAYS, CHUNK, Grid, NodeRange, PackedChunk, PackedRun, PackedSamples, Sample, Shape,
+    fields_of, joined, pack_run, value_words,
 };
 use super::hierarchy::Tree;
 use super::node::Node;
@@ -30,8 +30,6 @@ const DELTA_STEPS: f32 = 4.0;
 /// Minimum size of inner nodes, in cells: twice the size then covers the distance to the children and the rounding of the grid.
 /// Where a chunk's own coordinates are coarser, the distance may be longer and gets code 0, which stands for any length.
 const LEAST_SIZE: f32 = 2.0;
-/// A value that no error reaches.
-const INFINITE: f32 = 1e30;
 /// Nodes in the first chunks, which are small so that distant views do not test a whole chunk.
 const FIRST_CHUNKS: [usize; 2] = [64, 192];
 /// Nodes at the front of a list that are strictly sorted by the smaller of their parents' codes. If a node there is rejected by
@@ -394,7 +392,7 @@ fn set_ranges(samples: &mut PackedSamples, base: f32) {
 
 /// The range of some nodes, from their words.
 pub fn range_of(nodes: &[[u32; 2]], base: f32) -> NodeRange {
-    let parent = |code: u32| if code == NO_PARENT { INFINITE } else { decode(code, base) };
+    let parent = |code: u32| if code == NO_PARENT { ALWAYS } else { decode(code, base) };
     // A larger code stands for a smaller value.
     let (mut own, mut above, mut delta) = ([0; 2], [NONE; 2], 0.0f32);
     for words in nodes {

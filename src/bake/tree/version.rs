@@ -4,10 +4,11 @@ use glam::{DVec3, Vec2, Vec3};
 use sha2::{Digest, Sha256};
 
 use super::*;
-use crate::assets::{Clip, ClipLine, Kernel, Mesh};
+use crate::assets::{Clip, ClipLine, Kernel, Mesh, Polylines};
 use crate::bake::hybrid::hybrid_mesh;
 use crate::bake::kernels::circle;
-use crate::bake::pack::{PackedMesh, pack_hybrid};
+use crate::bake::line_levels::line_levels;
+use crate::bake::pack::{PackedLines, PackedMesh, pack_hybrid, pack_lines};
 use crate::scene::random::SplitMix64;
 
 /// Positions and normals on a wavy sheet, from operations that every machine computes identically.
@@ -89,6 +90,24 @@ fn mesh() -> (PackedSamples, PackedMesh) {
     (tree, triangles)
 }
 
+/// Strands over the sheet: crowded in one corner, and one of a ribbon's normals.
+fn lines() -> PackedLines {
+    let mut lines = Polylines { strands: vec![0], ..Polylines::default() };
+    for strand in 0..300 {
+        let (a, b) = (0.001 * f64::from(strand * 37 % 300), 0.001 * f64::from(strand * 91 % 300));
+        lines.positions.extend((0..20).map(|vertex| {
+            let t = 0.05 * f64::from(vertex);
+            DVec3::new(a + 0.1 * t * t, b * (1.0 + t), 2.0 * t)
+        }));
+        lines.strands.push(lines.positions.len() as u32);
+    }
+    let count = lines.positions.len();
+    lines.radii = Some((0..count).map(|v| 0.0005 + 0.0001 * (v % 3) as f32).collect());
+    lines.normals = Some(vec![Vec3::Y; count]);
+    lines.colors = Some(colors(count));
+    line_levels(&pack_lines(&lines).unwrap()).unwrap()
+}
+
 fn add_chunks(hash: &mut Sha256, grid: &Grid, chunks: &[PackedChunk]) {
     hash.update(format!("{grid:?}"));
     for chunk in chunks {
@@ -120,6 +139,10 @@ fn trees_change_with_their_version() {
     add_chunks(&mut hash, &triangles.grid, &triangles.chunks);
     hash.update(bytemuck::cast_slice(&triangles.vertices));
     hash.update(bytemuck::cast_slice(&triangles.triangles));
+    let lines = lines();
+    add_chunks(&mut hash, &lines.grid, &lines.chunks);
+    hash.update(bytemuck::cast_slice(&lines.vertices));
+    hash.update(bytemuck::cast_slice(&lines.segments));
     let found: String = hash.finalize()[..8].iter().map(|byte| format!("{byte:02x}")).collect();
     assert_eq!(
         found, BAKING_DIGEST,

@@ -7,14 +7,14 @@ use crate::assets::{Geometry, Mesh, Placement, PointCloud};
 pub(super) fn as_mesh(geometry: &Geometry) -> Option<&Mesh> {
     match geometry {
         Geometry::Mesh(mesh) => Some(mesh),
-        Geometry::Points(_) => None,
+        Geometry::Points(_) | Geometry::Lines(_) => None,
     }
 }
 
 pub(super) fn as_cloud(geometry: &Geometry) -> Option<&PointCloud> {
     match geometry {
         Geometry::Points(cloud) => Some(cloud),
-        Geometry::Mesh(_) => None,
+        Geometry::Mesh(_) | Geometry::Lines(_) => None,
     }
 }
 

@@ -303,7 +303,7 @@ proptest! {
         prop_assert!(simulation.got[1].frames > 0 && simulation.got[2].frames > 0);
     }
 
-    /// Whoever waits is served, also against clients that come once each and without end.
+    /// Every waiting client is served, also against clients that come once each and without end.
     #[test]
     fn newcomers_without_end_starve_nobody(cost_ms in 1u64..30, dear_ms in 1u64..200, a_time in 1usize..6) {
         let mut queue: Queue<Frame> = Queue::new(Shares { capacity: 64, capacity_ns: u64::MAX, jobs: 0.1, batch_ns: BATCH_NS });

@@ -146,7 +146,7 @@ fn values_are_checked() {
 #[test]
 fn what_is_accepted_comes_from_the_type() {
     assert_eq!(fault("output=x").2, "color, depth, normal, id");
-    assert_eq!(fault("reconstruct=x").2, "auto, points, splats, fuzzy");
+    assert_eq!(fault("reconstruct=x").2, "auto, points, splats, fuzzy, pull_push");
     for (query, accepted) in [
         ("filter=x", "affine, perspective, exact"),
         ("prefilter=yes", "true or false"),

@@ -12,6 +12,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let first = segments.first().copied().flatten();
     let mut constants = node_constants(recorder, first);
     constants.push(recorder.lanes());
+    constants.extend(recorder.task.reconstruction.pull_push().map(|_| ("EXPANDED", 1)));
     recorder.compute(Call {
         choices: Choices {
             visibility: recorder.visibility(),

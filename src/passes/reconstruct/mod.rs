@@ -1,19 +1,23 @@
-//! A surface from the splats that were projected: weighted sums in integers, whose order does not matter.
+//! A surface from the samples that were projected: weighted sums of splats in integers, whose order does not matter, or a pyramid of the image.
 
 pub mod blend_splats;
 pub mod blend_walked;
 pub mod fuzzy_splats;
 pub mod fuzzy_walked;
+pub mod pull;
+pub mod push;
+pub mod record_samples;
 
 use super::frame::output_number;
 use super::pipelines::Constants;
 use super::project::{band_constant, walk};
-use super::recorder::{Call, Recorder};
+use super::recorder::{Call, Launch, Recorder};
 use super::samples::{is_clipped, is_tree, node_constants, paint_constants, splat_constants};
 use super::shaders::Choices;
 use crate::gpu::shader::ShaderError;
 use crate::plan::{Output, Pass};
-use crate::scene::Shading;
+use crate::scene::recolor::Recolor;
+use crate::scene::{PullPushWeights, Shading};
 
 /// Samples that the sums of a pixel have room for.
 const SUMS_ROOM: u64 = 1 << 17;
@@ -40,6 +44,32 @@ pub fn walk_listed(recorder: &mut Recorder) -> Result<(), ShaderError> {
     constants.push(band_constant(recorder));
     let (choices, segments, launch) = (choices(recorder), &[recorder.segment], walk(recorder));
     recorder.compute(Call { choices, constants, segments, launch })
+}
+
+/// Overrides of `shared/patches`.
+pub fn pulled_constants(recorder: &Recorder) -> Constants {
+    let task = recorder.task;
+    let is_color = task.output == Output::Color;
+    let normals = task.output == Output::Normal
+        || (is_color && (task.plan.lights_pixels || matches!(task.recolor, Some(Recolor::Normal))));
+    let pull_push = task.reconstruction.pull_push();
+    let is_box = pull_push.is_some_and(|found| found.weights == PullPushWeights::Box);
+    vec![
+        ("BOX", u32::from(is_box)),
+        ("COLORS", u32::from(is_color)),
+        ("NORMALS", u32::from(normals)),
+    ]
+}
+
+/// A launch of a thread for each pixel of a level, in every view.
+pub fn over_level(recorder: &Recorder, width: u32, height: u32) -> Launch {
+    Launch::Direct([width.div_ceil(64), height, recorder.task.count()])
+}
+
+/// A launch of a thread for each corner of the pixels of the level above the recorder's, in every view.
+pub fn over_corners(recorder: &Recorder) -> Launch {
+    let (width, height) = recorder.levels().size(recorder.level + 1);
+    over_level(recorder, width + 1, height + 1)
 }
 
 fn choices(recorder: &Recorder) -> Choices {

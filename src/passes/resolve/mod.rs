@@ -2,6 +2,8 @@
 
 pub mod identify;
 pub mod resolve_fuzzy;
+pub mod resolve_lines;
+pub mod resolve_pulled;
 pub mod resolve_samples;
 pub mod resolve_splats;
 pub mod resolve_triangles;

@@ -2,8 +2,9 @@
 //! out several times as fast as a shader.
 
 use crate::gpu::shader::ShaderError;
+use crate::passes::Levels;
 use crate::passes::recorder::Recorder;
-use crate::passes::scratch::{BACKGROUND_BYTES, LAYERS_BYTES};
+use crate::passes::scratch::{BACKGROUND_BYTES, LAYERS_BYTES, PATCH_BYTES};
 use crate::plan::Pass;
 use crate::residency::layout::GpuStats;
 
@@ -24,6 +25,11 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     buffers.extend(scratch.sums[..task.sums()].iter().map(|sums| (sums, Some(pixels * 8))));
     if task.plan.runs(Pass::FuzzySplats) {
         buffers.push((&scratch.layers, Some(pixels * LAYERS_BYTES)));
+    }
+    if task.plan.runs(Pass::Pull) {
+        // Pixels without a sample have no patch; coarser levels are written whole.
+        let bytes = views * Levels::of((width, height)).pixels() * PATCH_BYTES;
+        buffers.push((&scratch.patches[0], Some(bytes)));
     }
     let image = scratch.pixels.buffer().raw();
     let buffers = buffers.into_iter().map(|(found, bytes)| (found.buffer().raw(), bytes));

@@ -12,7 +12,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let is_asked = |kind: &GeometryKind| match kind {
         // Splats that are blended in a single pass are drawn wherever they are.
         GeometryKind::Samples => !recorder.task.plan.runs(Pass::FuzzySplats),
-        GeometryKind::Triangles => !again,
+        GeometryKind::Triangles | GeometryKind::Lines => !again,
     };
     let kinds: Vec<GeometryKind> = GeometryKind::ALL.iter().copied().filter(is_asked).collect();
     let segments = recorder.segments(&kinds);

@@ -1,3 +1,5 @@
+mod names;
+
 use super::*;
 use crate::bake::pack::Counts;
 use crate::plan::SceneFacts;
@@ -67,12 +69,9 @@ fn declarations_are_complete() {
             let Some(SettingKind::Choice { choices, .. }) = kind else {
                 // Any text will do.
                 let is_text = matches!(kind, Some(SettingKind::Text { .. }));
-                assert_eq!(is_text, rule.is.is_empty(), "{}", rule.of);
-                assert!(
-                    is_text || ["output", "samples", "lights"].contains(&rule.of),
-                    "{}",
-                    rule.of
-                );
+                let is_fact = ["output", "samples", "lights", "fields"].contains(&rule.of);
+                assert!(is_text || is_fact, "{}", rule.of);
+                assert!(!is_text || rule.is.is_empty(), "{}", rule.of);
                 continue;
             };
             let is_value = |value: &&str| choices.iter().any(|choice| choice.value == *value);
@@ -81,6 +80,25 @@ fn declarations_are_complete() {
         if let SettingKind::Choice { choices, .. } = &setting.kind {
             assert!(choices.iter().all(|choice| !choice.help.is_empty()), "{}", setting.name);
         }
+    }
+}
+
+#[test]
+fn colours_by_a_field_are_offered_where_the_scene_has_it() {
+    let Some(Setting { kind: SettingKind::Choice { choices, .. }, useful_with, .. }) =
+        declaration("color_by")
+    else {
+        panic!("it has choices");
+    };
+    for Choice { value, .. } in choices {
+        let chosen = Settings::from(given(&format!("color_by={value}&field=height")));
+        let is_of_value = |rule: &&Rule| rule.of == "fields" && rule.value == Some(value.as_str());
+        let rules: Vec<&Rule> = useful_with.iter().filter(is_of_value).collect();
+        let shown = chosen.colored_field();
+        assert_eq!(rules.len(), usize::from(shown.is_some()), "{value}");
+        // The field is another setting's to name.
+        let named = shown.as_ref().map(Name::as_str).filter(|name| *name != "height");
+        assert_eq!(rules.first().and_then(|rule| rule.is.first().copied()), named, "{value}");
     }
 }
 

@@ -24,13 +24,13 @@ pub struct UsedSettings {
     /// Distance between neighbouring samples, in pixels, that 90 % of what samples cover does not exceed, where `auto` looked at it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub spacing_px: Option<f64>,
-    /// Why that is not what was asked for.
+    /// Reason why the frame was drawn in another way than requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub instead_because: Option<&'static str>,
     /// Why a frame with `lod=spt` was drawn at full detail.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub full_because: Option<String>,
-    /// Only where samples are drawn as splats.
+    /// Parameters of splats; absent for other reconstructions.
     #[serde(flatten)]
     pub splats: Option<UsedSplats>,
 }
@@ -58,8 +58,11 @@ pub struct UsedSplats {
 }
 
 impl UsedSplats {
-    /// Returns the parameters of splats; `None` where samples are drawn as points.
+    /// Returns the parameters of splats; `None` where samples are drawn otherwise.
     pub fn of(reconstruction: &Reconstruction) -> Option<UsedSplats> {
+        if reconstruction.pull_push().is_some() {
+            return None;
+        }
         let &Splats { filter, blend, shading, prefilter, lowpass_px, cutoff, width, depth_offset } =
             reconstruction.splats()?;
         let blend = reconstruction.fuzzy().is_none().then_some(blend);

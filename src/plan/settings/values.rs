@@ -48,6 +48,39 @@ impl Settings {
         Settings { reconstruct, ..Settings::default() }
     }
 
+    /// Whether it is left open how samples are drawn.
+    pub fn leaves_drawing_open(&self) -> bool {
+        self.reconstruct == Reconstruct::Auto
+    }
+
+    /// Whether samples are drawn as points, round or of one pixel.
+    pub fn draws_points(&self) -> bool {
+        self.reconstruct == Reconstruct::Points
+    }
+
+    /// The settings with samples drawn in a given way.
+    #[must_use]
+    pub fn decided(&self, reconstruct: Reconstruct) -> Settings {
+        Settings { reconstruct, ..*self }
+    }
+
+    /// Whether the request says how splats are drawn.
+    pub fn has_splat_choices(&self) -> bool {
+        let Settings { filter, prefilter, blend, shading, .. } = self;
+        filter.is_some() || prefilter.is_some() || blend.is_some() || shading.is_some()
+    }
+
+    /// The settings with samples drawn as others draw them.
+    #[must_use]
+    pub fn drawn_like(&self, other: &Settings) -> Settings {
+        self.decided(other.reconstruct)
+    }
+
+    /// Whether point trees are drawn in place of all samples and triangles.
+    pub fn draws_trees(&self) -> bool {
+        self.lod == Lod::Spt
+    }
+
     /// The settings with `edl` on or off.
     #[must_use]
     pub fn with_edl_decided(&self, scene: &SceneFacts, output: Output) -> Settings {
@@ -69,9 +102,7 @@ impl Settings {
     pub fn with_point_size(&self, px: Option<f64>) -> Settings {
         let size = px.and_then(|px| PointSizePx::new(px as f32));
         match size.filter(|size| size.get() > self.point_size_px.get()) {
-            Some(point_size_px) if self.reconstruct == Reconstruct::Points => {
-                Settings { point_size_px, ..*self }
-            }
+            Some(point_size_px) if self.draws_points() => Settings { point_size_px, ..*self },
             _ => *self,
         }
     }
@@ -79,6 +110,22 @@ impl Settings {
     /// Accepted error of `lod=spt` in pixels.
     pub fn accepted_px(&self) -> f32 {
         self.max_error_px.px()
+    }
+
+    /// Accepted error of `lod=spt`.
+    pub fn accepted_error(&self) -> MaxError {
+        self.max_error_px
+    }
+
+    /// The settings with another accepted error.
+    #[must_use]
+    pub fn accepting(&self, error: MaxError) -> Settings {
+        Settings { max_error_px: error, ..*self }
+    }
+
+    /// Accepted error in pixels of a frame that is asked for with `lod=spt`.
+    pub fn accepted_px_of_trees(&self) -> Option<f32> {
+        self.draws_trees().then(|| self.accepted_px())
     }
 
     /// A still frame of these settings.
@@ -106,10 +153,9 @@ impl Settings {
     /// pixel are discs as well, of the size of what they stand for.
     pub fn discs(&self) -> Option<Discs> {
         let (diameter_px, diameter) = (self.point_size_px.get(), self.point_size.get());
-        let has_large_nodes = self.lod == Lod::Spt && self.accepted_px() > 1.0;
+        let has_large_nodes = self.draws_trees() && self.accepted_px() > 1.0;
         let is_larger = self.has_point_size() || has_large_nodes;
-        (self.reconstruct == Reconstruct::Points && is_larger)
-            .then_some(Discs { diameter_px, diameter })
+        (self.draws_points() && is_larger).then_some(Discs { diameter_px, diameter })
     }
 
     /// Whether colours come from the resolved surface, not from samples and materials.
@@ -176,13 +222,19 @@ impl Settings {
     /// The settings, with the scene's values where they have none.
     #[must_use]
     pub fn settled(&self, reconstruction: &Reconstruction) -> Settings {
-        reconstruction.splats().map_or(*self, |splats| Settings {
+        let splats = reconstruction.splats().filter(|_| reconstruction.pull_push().is_none());
+        splats.map_or(*self, |splats| Settings {
             filter: Some(splats.filter),
             prefilter: Some(splats.prefilter),
             blend: Some(splats.blend),
             shading: Some(splats.shading),
             ..*self
         })
+    }
+
+    /// Returns the settings with samples drawn as splats, for a frame that pull-push cannot draw.
+    pub fn as_splats(&self) -> Settings {
+        Settings { reconstruct: Reconstruct::Splats, ..*self }
     }
 
     /// Returns the settings with splats drawn in three passes, for a frame that a single pass cannot draw.
@@ -428,8 +480,8 @@ pub enum ErrorMode {
     /// Errors are the same from every angle, so that the accepted error holds everywhere
     #[default]
     Unified,
-    /// By the angle to the surface: fewer nodes. Where a surface ends and is seen at an angle, it may reach sideways up to twice as
-    /// far beyond its end as is accepted.
+    /// Errors depend on the viewing angle, which draws fewer nodes. The outline of a surface seen at an angle may be off by twice the
+    /// accepted error.
     Split,
 }
 
@@ -540,6 +592,9 @@ pub enum Reconstruct {
     Splats = 1,
     /// Splats that are blended and depth-tested in a single pass (Dachsbacher et al. 2003, §5): faster, coarser in weights and depths.
     Fuzzy = 2,
+    /// One pixel a sample, and gaps filled from coarser levels of the image (Marroquim et al. 2008): costs what the pixels cost, however
+    /// large the splats would be.
+    PullPush = 4,
 }
 
 /// Which image of the frame is wanted.

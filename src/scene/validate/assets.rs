@@ -46,9 +46,11 @@ fn source(
         }
         (Some(file), None, _) => file_source(file, wire, resolve, place).map(AssetSource::File),
         (None, Some((operation, operands)), None) => {
-            for (key, present) in
-                [("sample", wire.sample.is_some()), ("features", wire.features.is_some())]
-            {
+            for (key, present) in [
+                ("sample", wire.sample.is_some()),
+                ("features", wire.features.is_some()),
+                ("line_radius", wire.line_radius.is_some()),
+            ] {
                 if present {
                     let reason = format!("means nothing beside `{}`", operation.key());
                     return place.key(key).refuse(reason);
@@ -85,7 +87,14 @@ fn file_source(
         Some(wire) => Some(sampling(wire, place.key("sample"))?),
         None => None,
     };
-    Ok(FileSource { path, sample, features })
+    let line_radius = match wire.line_radius {
+        Some(radius) => {
+            let place = place.key("line_radius");
+            Some(within(radius, 1.0 / LARGEST_SCALE, LARGEST_COORDINATE, place)?)
+        }
+        None => None,
+    };
+    Ok(FileSource { path, sample, features, line_radius })
 }
 
 fn sampling(wire: &SampleWire, place: Place<'_>) -> Valid<MeshSampling> {

@@ -1,72 +1,56 @@
 //! Jobs that are killed, cancelled or deleted while their video is coded, and restarts of a killed daemon.
 
+use serde_json::{Value, json};
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
-use std::time::{Duration, Instant};
-
-use serde_json::{Value, json};
 
 #[cfg(feature = "video")]
-use super::{checksum, files, job, post};
+use super::{checksum, files, job, post, when};
 use super::{create, ended, studio};
 #[cfg(feature = "video")]
-use crate::client::Client;
+use crate::daemon::Daemon;
 
-/// Long enough that coding takes longer than polling, so that a job can be caught while its video is coded.
 #[cfg(feature = "video")]
-const COUNT: u64 = 401;
+const COUNT: u64 = 101;
 
 #[cfg(feature = "video")]
 fn film(want: Value) -> Value {
-    json!({"fps": 100, "w": 192, "h": 144, "format": "raw", "want": want})
+    json!({"fps": 25, "w": 64, "h": 48, "format": "raw", "want": want})
 }
 
-/// Waits until a job's video has this many frames. Returns false if the job has ended before.
+/// Waits until a job's video has as many frames as the daemon codes before it holds.
 #[cfg(feature = "video")]
-fn coded(client: &Client, id: &str, frames: u64) -> bool {
-    let until = Instant::now() + Duration::from_secs(180);
-    loop {
-        let found = job(client, id);
-        match found["state"].as_str().unwrap() {
-            "queued" | "running" => {}
-            "done" => return false,
-            _ => panic!("{found}"),
-        }
-        if found["stage"] == "video" && found["frames"]["coded"].as_u64().unwrap() >= frames {
-            return true;
-        }
-        assert!(Instant::now() < until, "no video: {found}");
-    }
+fn held(daemon: &Daemon, id: &str, frames: u64) {
+    when(&daemon.client(), id, "the hold of its coding", |job| {
+        job["stage"] == "video" && job["frames"]["coded"].as_u64().unwrap() >= frames
+    });
 }
 
 /// A job that is killed, cancelled and resumed during coding draws no frame twice, and its video equals that of an undisturbed
 /// job.
 #[cfg(feature = "video")]
+#[cfg_attr(not(debug_assertions), ignore = "release builds hold no coding")]
 #[test]
 fn videos_outlive_kills() {
     let mut daemon = studio(&[]);
     let calm = create(&daemon.client(), film(json!(["frames", "video"])));
     let expected = ended(&daemon.client(), &calm, "done")["video"].clone();
     for (want, left) in [(json!(["frames", "video"]), COUNT), (json!(["video"]), 0)] {
+        daemon.hold_coding(Some(1));
         let id = create(&daemon.client(), film(want));
         let folder = daemon.state().join("jobs").join(&id);
-        let (mut hits, mut kept) = (0, None);
-        for share in [0, 5, 50, 95] {
-            if !coded(&daemon.client(), &id, COUNT * share / 100) {
-                break;
-            }
+        let mut kept = None;
+        for (frames, next) in [(1, Some(5)), (5, Some(50)), (50, Some(96)), (96, None)] {
+            held(&daemon, &id, frames);
             daemon.kill();
+            assert!(!folder.join("video.mp4").exists(), "the coding was not held");
             let before = files(&daemon, &id);
-            let is_hit = !folder.join("video.mp4").exists();
-            if is_hit {
-                hits += 1;
-                assert_eq!(before.len() as u64, COUNT);
-                let kept = kept.get_or_insert_with(|| before.clone());
-                assert!(*kept == before, "frames were drawn again before {share} %");
-            }
+            assert_eq!(before.len() as u64, COUNT);
+            let kept = kept.get_or_insert_with(|| before.clone());
+            assert!(*kept == before, "frames were drawn again before frame {frames} was coded");
+            daemon.hold_coding(next);
             daemon = daemon.kill_and_restart(&[]);
         }
-        assert!(hits > 1, "{hits} kills hit the coding");
         let client = daemon.client();
         let made = ended(&client, &id, "done");
         assert_eq!(made["video"], expected, "{made}");
@@ -82,24 +66,18 @@ fn videos_outlive_kills() {
 }
 
 #[cfg(feature = "video")]
+#[cfg_attr(not(debug_assertions), ignore = "release builds hold no coding")]
 #[test]
 fn videos_are_given_up() {
     let daemon = studio(&[]);
     let client = daemon.client();
+    daemon.hold_coding(Some(20));
     let id = create(&client, film(json!(["frames", "video"])));
     let folder = daemon.state().join("jobs").join(&id);
-    let mut hits = 0;
     for _ in 0..3 {
-        if !coded(&client, &id, 20) {
-            break;
-        }
+        held(&daemon, &id, 20);
         let before = files(&daemon, &id);
         let cancelled = post(&client, &format!("/v1/jobs/{id}/cancel"));
-        if cancelled.status == 409 {
-            // The job was done by then.
-            break;
-        }
-        hits += 1;
         assert_eq!((cancelled.status, &cancelled.json()["state"]), (200, &json!("cancelled")));
         crate::daemon::eventually("the end of coding", || !folder.join("video.mp4.part").exists());
         assert!(!folder.join("video.mp4").exists());
@@ -109,12 +87,13 @@ fn videos_are_given_up() {
         assert_eq!(post(&client, &format!("/v1/jobs/{id}/resume")).status, 200);
         assert!(files(&daemon, &id) == before, "frames are what they were");
     }
-    assert!(hits > 0, "the coding was never hit");
+    daemon.hold_coding(None);
     ended(&client, &id, "done");
     assert_eq!(client.get(&format!("/v1/jobs/{id}/video.mp4")).status, 200);
     // Deleted while it is coded, the job leaves nothing behind.
+    daemon.hold_coding(Some(20));
     let id = create(&client, film(json!(["video"])));
-    coded(&client, &id, 20);
+    held(&daemon, &id, 20);
     assert_eq!(client.send("DELETE", &format!("/v1/jobs/{id}"), &[], None).status, 204);
     let folder = daemon.state().join("jobs").join(&id);
     crate::daemon::eventually("the end of its files", || !folder.exists());

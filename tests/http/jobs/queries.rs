@@ -78,7 +78,7 @@ fn what_is_known_of_a_job_is_told_at_once() {
     let id = made["id"].as_str().unwrap();
     let beyond = client.get(&format!("/v1/jobs/{id}/frames/41")).problem();
     assert_eq!(beyond["accepted"], "5 to 40", "{beyond}");
-    // The same holds in a later process, and when the job is cancelled before it has begun.
+    // It holds in a later process, and when the job is cancelled before it has begun.
     let daemon = daemon.kill_and_restart(&["--job-runners", "1"]);
     let client = daemon.client();
     assert_eq!(job(&client, id)["frames"], frames);

@@ -39,7 +39,7 @@ fn bytes_are_little_endian_words_in_the_order_that_the_module_says() {
     let all = small();
     let PackedGeometry::Samples(tree) = &all[0] else { panic!("samples") };
     let bytes = bytes_of(&all);
-    assert_eq!(bytes[..12], *b"PTLSBAKE\x04\0\0\0");
+    assert_eq!(bytes[..12], *b"PTLSBAKE\x05\0\0\0");
     assert_eq!(bytes[12..16], [3, 0, 0, 0]);
     assert_eq!(bytes[16..48], KEY);
     assert_eq!(bytes[48..56], (bytes.len() as u64).to_le_bytes());
@@ -134,7 +134,7 @@ fn refused(change: impl Fn(&mut Vec<PackedGeometry>)) -> &'static str {
 fn refused_samples(change: impl Fn(&mut PackedSamples)) -> &'static str {
     refused(|all| match &mut all[0] {
         PackedGeometry::Samples(samples) => change(samples),
-        PackedGeometry::Triangles(_) => panic!("samples"),
+        _ => panic!("samples"),
     })
 }
 
@@ -170,7 +170,7 @@ fn geometries_that_shaders_would_go_astray_in_are_refused() {
     let mesh = |change: fn(&mut PackedMesh)| {
         refused(|all| match &mut all[2] {
             PackedGeometry::Triangles(mesh) => change(mesh),
-            PackedGeometry::Samples(_) => panic!("a mesh"),
+            _ => panic!("a mesh"),
         })
     };
     assert!(mesh(|m| m.chunks[0].vertex_count = 1025).contains("too many"));
@@ -201,6 +201,11 @@ fn walk(geometry: &PackedGeometry) -> u64 {
                     let word = mesh.triangles[at];
                     let vertex = |place: u32| run[(word >> (10 * place) & 1023) as usize][0];
                     u64::from(vertex(0) ^ vertex(1) ^ vertex(2))
+                }
+                PackedGeometry::Lines(lines) => {
+                    let ends = lines.ends(chunk, at).expect("both ends");
+                    let (strand, _) = lines.strand_of(at).expect("a strand");
+                    u64::from(ends[0].color ^ ends[1].color ^ strand)
                 }
             };
         }

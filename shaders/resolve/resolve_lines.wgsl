@@ -1,0 +1,167 @@
+// Writes the attributes of the pixels that show a segment of a line of one page. Tubes that are wide enough have the normals of their
+// surface; thin ones are lit as the mean over a cylinder, and ribbons from both sides alike.
+//!include shared/frame
+//!include shared/scene
+//!include shared/line
+//!include shared/barycentric
+//!include shared/normals
+//!include shared/resolve
+//!include shared/light
+//!include shared/recolor
+
+@group(2) @binding(3) var<storage, read> placed: array<Placed>;
+
+// Width in pixels from which on a tube has the normals of its surface.
+const ROUND_PX: f32 = 2.0;
+
+// Which share of a segment a ray meets a ribbon at.
+fn ribbon_share(line: Line, triangle: u32, ray: vec3<f32>) -> f32 {
+    let a0 = line.a - line.side_a;
+    let b1 = line.b + line.side_b;
+    if triangle == 1u {
+        return barycentric_weights(barycentric_forms(a0, line.a + line.side_a, b1), ray).c;
+    }
+    let w = barycentric_weights(barycentric_forms(a0, b1, line.b - line.side_b), ray);
+    return w.b + w.c;
+}
+
+// The factors of a light for albedo and specular colour, of a cylinder thinner than can be seen: see `crate::oracle::shade::line`.
+fn cylinder(tangent: vec3<f32>, l: vec3<f32>, to_eye: vec3<f32>, shininess: f32) -> vec2<f32> {
+    let lt = dot(l, tangent);
+    let vt = dot(to_eye, tangent);
+    let across = sqrt(max(1.0 - lt * lt, 0.0));
+    let seen = sqrt(max(1.0 - vt * vt, 0.0));
+    let cosine = clamp((dot(l, to_eye) - lt * vt) / max(across * seen, 1e-12), -1.0, 1.0);
+    let angle = acos(cosine);
+    let mean = across * 0.25 * (sqrt(1.0 - cosine * cosine) + (3.1415927 - angle) * cosine);
+    let peak = pow(max(across * seen - lt * vt, 0.0), shininess);
+    return vec2<f32>(mean, peak * 0.5 * sqrt(3.1415927 / (2.0 * shininess + 2.0)) * cos(0.5 * angle));
+}
+
+// The light that a line reflects. `direction`: the axis of a tube, or the normal of a ribbon.
+fn line_light(light: Light, albedo: vec3<f32>, material: Material, direction: vec3<f32>, is_ribbon: bool, place: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
+    let l = arriving(light, place, to_eye);
+    if light.kind == 0u {
+        return albedo * light.color.rgb * l.w;
+    }
+    var factors = cylinder(direction, l.xyz, to_eye, material.shininess);
+    if is_ribbon {
+        let cosine = dot(direction, l.xyz);
+        let mirrored = 2.0 * cosine * direction - l.xyz;
+        factors = vec2<f32>(abs(cosine), pow(max(dot(mirrored, to_eye), 0.0), material.shininess));
+    }
+    if factors.x <= 0.0 {
+        return vec3<f32>(0.0);
+    }
+    var reflected = albedo * factors.x;
+    if SPECULAR {
+        reflected += material.specular * factors.y;
+    }
+    return reflected * light.color.rgb * l.w;
+}
+
+fn line_lights(albedo: vec3<f32>, material: Material, direction: vec3<f32>, is_ribbon: bool, place: vec3<f32>) -> vec3<f32> {
+    let to_eye = eye_from(place);
+    var color = vec3<f32>(0.0);
+    for (var i = 0u; i < FEW_LIGHTS; i++) {
+        color += line_light(few_lights[i], albedo, material, direction, is_ribbon, place, to_eye);
+    }
+    if FEW_LIGHTS == 0u {
+        let count = min(frame.light_count, arrayLength(&lights));
+        for (var i = 0u; i < count; i++) {
+            color += line_light(lights[i], albedo, material, direction, is_ribbon, place, to_eye);
+        }
+    }
+    return color;
+}
+
+fn unit_or_zero(v: vec3<f32>) -> vec3<f32> {
+    let size = length_of(v);
+    return select(v / size, vec3<f32>(0.0), size < 1e-37);
+}
+
+fn resolve(column: Column) {
+    var surface: Surface;
+    surface.slot = slot_of(column.word);
+    surface.inverse_depth = bitcast<f32>(column.word.y);
+    surface.depth_scale = 1.0;
+    if OUTPUT == OUTPUT_DEPTH {
+        finish(column.pixel, column.at, surface);
+        return;
+    }
+    let slot = frame.first_slot + surface.slot;
+    let instance = slots[slot].instance;
+    if OUTPUT == OUTPUT_ID {
+        surface.id = instances[instance].id;
+        finish(column.pixel, column.at, surface);
+        return;
+    }
+    let chunk = slots[slot].chunk;
+    let at = placed[frame.first_instance + instance];
+    let element = chunks[chunk].first + (~column.word.x & SLOT_MASK);
+    let seen = seen_line(line_of(at, radius_scale(at), chunks[chunk].vertex_first, element));
+    let pixel = pixel_centre(column.at);
+    let ray = ray_through(pixel);
+    let hit = meet_line(seen, pixel);
+    var share = hit.share;
+    if hit.triangle != 0u {
+        share = ribbon_share(seen.line, hit.triangle, ray);
+    }
+    let way = world_from_camera(towards(ray));
+    let is_round = !seen.line.is_ribbon && hit.width_px >= ROUND_PX;
+    let tangent = unit_or_zero(world_from_camera(seen.line.ab));
+    if needs_normal() {
+        var own = way - tangent * dot(way, tangent);
+        if seen.line.is_ribbon {
+            let a = octahedral_decode(line_vertices[seen.line.words.x + 5u]);
+            let b = octahedral_decode(line_vertices[seen.line.words.y + 5u]);
+            own = turned(normal_map(instance), mix(a, b, share));
+        } else if is_round {
+            own = world_from_camera(hit.normal);
+        }
+        surface.normal = facing_normal(own, way);
+    }
+    var material = materials[chunks[chunk].material];
+    if OVERRIDES {
+        material = effective_material(material, instances[instance].material);
+    }
+    let color_a = linear_color(line_vertices[seen.line.words.x + 3u]);
+    let color_b = linear_color(line_vertices[seen.line.words.y + 3u]);
+    let color = material.base_color.rgb * mix(color_a, color_b, share);
+    // Lines have no scalar fields to show.
+    surface.color = select(color_word(color), GREY, COLOR_BY == BY_FIELD);
+    if SHADED && !is_round && (material.flags & MATERIAL_UNLIT) == 0u {
+        let direction = select(tangent, surface.normal, seen.line.is_ribbon);
+        let albedo = linear_color(recoloured(surface, column.at));
+        if !seen.line.is_ribbon || any(direction != vec3<f32>(0.0)) {
+            surface.color = color_word(line_lights(albedo, material, direction, seen.line.is_ribbon, place_of(surface, column.at)));
+            finish_lit(column.pixel, surface);
+            return;
+        }
+    }
+    finish(column.pixel, column.at, surface);
+}
+
+@compute @workgroup_size(64)
+fn resolve_lines(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    begin_view(group.z);
+    let begin = runs[frame.first_run + segment.index].first_slot;
+    let count = runs[frame.first_run + segment.index].count;
+    var column = column_begin(group, lane);
+    var resolved = 0u;
+    resolve_load(&column, begin, count);
+    loop {
+        resolve_seek(&column, begin, count);
+        if column_ends(column) {
+            break;
+        }
+        if column.mine {
+            resolve(column);
+            resolved++;
+        }
+        resolve_next(&column, begin, count);
+    }
+    if resolved != 0u {
+        atomicAdd(&stats[frame.view].pixels_of_segments, resolved);
+    }
+}

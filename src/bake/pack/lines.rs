@@ -1,0 +1,534 @@
+//! Segments of lines. Vertices that chunks share are stored in each, with equal words, so that neighbours meet without a gap.
+
+use std::borrow::Cow;
+use std::io;
+use std::ops::Range;
+
+use glam::{DVec3, IVec3, Vec3};
+use rayon::prelude::*;
+
+use super::kind::{Arrays, PackedKind, PageKind, Stream, StreamOf, holds};
+use super::{
+    ALWAYS, CHUNK, GeometryKind, Grid, KERNEL_DETAIL, NO_NORMAL, NodeRange, PackError, PackedChunk,
+    Sides, finite, morton, octahedral, rgba_word,
+};
+use crate::assets::Polylines;
+use crate::math::Bounds;
+
+/// Words of a vertex: grid position, colour, radius in cells, normal of a ribbon, and the direction of its width.
+pub const LINE_WORDS: usize = 7;
+
+/// Bits of a segment's first word, above two indices of 10 bits: it begins or ends its strand.
+pub const BEGINS: u32 = 1 << 20;
+pub const ENDS: u32 = 1 << 21;
+/// The highest bits of that word are a hash of the strand's number.
+const HASH_SHIFT: u32 = 22;
+
+/// Angle that counts for straight strands: segments of levels of detail are short as well.
+const LEAST_BEND: f64 = 0.25;
+
+/// Lines as the GPU holds them.
+#[derive(Clone, Debug)]
+pub struct PackedLines {
+    pub grid: Grid,
+    pub chunks: Vec<PackedChunk>,
+    pub vertices: Vec<[u32; LINE_WORDS]>,
+    /// Two 10-bit indices into the chunk's vertices with [`BEGINS`], [`ENDS`] and a hash; the number of the first vertex in the file.
+    pub segments: Vec<[u32; 2]>,
+    /// The first vertex of each strand in the file, and behind them the number of vertices; not on the GPU.
+    pub strands: Vec<u32>,
+}
+
+/// Packs lines. Lines without radii have zeros.
+///
+/// # Errors
+/// See [`PackError`].
+pub fn pack_lines(lines: &Polylines) -> Result<PackedLines, PackError> {
+    finite(&lines.positions)?;
+    check_lines(lines)?;
+    let widest = lines.widest();
+    if widest > 1e30 {
+        return Err(PackError::TooFar { extent: widest });
+    }
+    let bounds = Bounds::of_all(&lines.positions);
+    let grid = Grid::with_detail(&bounds, widest * KERNEL_DETAIL)?;
+    let cells: Vec<IVec3> = lines.positions.par_iter().map(|&p| grid.quantise(p)).collect();
+    let middle = |vertex: u32| {
+        let (a, b) = (cells[vertex as usize], cells[vertex as usize + 1]);
+        // Cells use 30 bits.
+        morton((a + b) / 2)
+    };
+    let segments: Vec<u32> = lines.segments().collect();
+    let mut order: Vec<(u64, u32)> =
+        segments.par_iter().map(|&vertex| (middle(vertex), vertex)).collect();
+    drop(segments);
+    order.par_sort_unstable();
+    let sides = lines.normals.as_ref().map(|normals| sides(lines, normals));
+    let words = |v: usize| {
+        let cell = cells[v];
+        let color = lines.colors.as_ref().map_or(u32::MAX, |colors| rgba_word(colors[v]));
+        let radius = lines.radii.as_ref().map_or(0.0, |radii| f64::from(radii[v]));
+        let normal = lines.normals.as_ref().map_or(NO_NORMAL, |n| octahedral(n[v]));
+        let side = sides.as_ref().map_or(NO_NORMAL, |sides| octahedral(sides[v]));
+        // Steps are powers of two: the quotient is exact.
+        let radius = (radius / grid.step) as f32;
+        [cell.x as u32, cell.y as u32, cell.z as u32, color, radius.to_bits(), normal, side]
+    };
+    let mut packer = LinePacker::new(grid, lines.strands.clone());
+    packer.out.vertices.reserve(lines.positions.len());
+    packer.out.segments.reserve(order.len());
+    let always = NodeRange { error_parent: ALWAYS, size_parent: ALWAYS, ..NodeRange::default() };
+    packer.begin(always, lines.positions.len());
+    for &(_, vertex) in &order {
+        let strand = lines.strands.partition_point(|&first| first <= vertex) as u32 - 1;
+        let [first, end] = [strand, strand + 1].map(|at| lines.strands[at as usize]);
+        packer.add(&words, vertex, vertex, strand_word(strand, first == vertex, end == vertex + 2));
+    }
+    Ok(packer.finished())
+}
+
+/// The first word of a segment without its indices.
+fn strand_word(strand: u32, begins: bool, ends: bool) -> u32 {
+    let hash = strand.wrapping_add(1).wrapping_mul(0x9e37_79b9) >> HASH_SHIFT << HASH_SHIFT;
+    hash | if begins { BEGINS } else { 0 } | if ends { ENDS } else { 0 }
+}
+
+/// Checks what a reader promises: lengths, order of strands, radii.
+fn check_lines(lines: &Polylines) -> Result<(), PackError> {
+    let count = lines.positions.len();
+    let is_sorted = lines.strands.windows(2).all(|ends| ends[0] < ends[1]);
+    let is_whole = lines.strands.first().is_none_or(|&first| first == 0)
+        && lines.strands.last().map_or(0, |&last| last as usize) == count;
+    let lengths = [
+        lines.radii.as_ref().map(Vec::len),
+        lines.normals.as_ref().map(Vec::len),
+        lines.colors.as_ref().map(Vec::len),
+    ];
+    if !is_sorted || !is_whole || lengths.iter().flatten().any(|&length| length != count) {
+        return Err(PackError::Strands);
+    }
+    let is_radius = |&radius: &f32| radius >= 0.0 && radius.is_finite();
+    match lines.radii.iter().flatten().position(|radius| !is_radius(radius)) {
+        Some(index) => Err(PackError::Radius { index }),
+        None => Ok(()),
+    }
+}
+
+/// The directions of ribbons' widths at their vertices.
+fn sides(lines: &Polylines, normals: &[Vec3]) -> Vec<Vec3> {
+    let mut sides = vec![Vec3::ZERO; lines.positions.len()];
+    for ends in lines.strands.windows(2) {
+        let (first, end) = (ends[0] as usize, ends[1] as usize);
+        #[allow(clippy::needless_range_loop, reason = "the number of the vertex is needed as well")]
+        for vertex in first..end {
+            sides[vertex] = lines.side(normals, vertex, first..end).as_vec3();
+        }
+    }
+    sides
+}
+
+/// Cuts sorted segments into chunks with the vertices that they use.
+struct LinePacker {
+    out: PackedLines,
+    range: NodeRange,
+    /// For every vertex: the last chunk that took it, and its index there.
+    stamp: Vec<(u32, u32)>,
+    /// The next segment begins a chunk.
+    opens: bool,
+}
+
+impl LinePacker {
+    fn new(grid: Grid, strands: Vec<u32>) -> LinePacker {
+        let out = PackedLines {
+            grid,
+            chunks: Vec::new(),
+            vertices: Vec::new(),
+            segments: Vec::new(),
+            strands,
+        };
+        LinePacker { out, range: NodeRange::default(), stamp: Vec::new(), opens: true }
+    }
+
+    /// Chunks from here on have this range, and segments lead to other vertices than those before, so many.
+    fn begin(&mut self, range: NodeRange, vertices: usize) {
+        self.range = range;
+        self.opens = true;
+        self.stamp.clear();
+        self.stamp.resize(vertices, (u32::MAX, 0));
+    }
+
+    /// Adds the segment from a vertex to the next. `number`: the first of both in the file; `word`: see [`strand_word`].
+    fn add(
+        &mut self,
+        words: &impl Fn(usize) -> [u32; LINE_WORDS],
+        vertex: u32,
+        number: u32,
+        mut word: u32,
+    ) {
+        let current = self.out.chunks.len() as u32;
+        let ends = [vertex, vertex + 1];
+        let fits = self.out.chunks.last().is_some_and(|chunk| {
+            let fresh = ends.iter().filter(|&&v| self.stamp[v as usize].0 != current - 1).count();
+            (chunk.count as usize) < CHUNK && chunk.vertex_count as usize + fresh <= CHUNK
+        });
+        if self.opens || !fits {
+            self.opens = false;
+            self.out.chunks.push(PackedChunk {
+                origin: IVec3::ZERO,
+                extent: IVec3::ZERO,
+                first: self.out.segments.len() as u32,
+                count: 0,
+                shift: 0,
+                vertex_first: self.out.vertices.len() as u32,
+                vertex_count: 0,
+                material: 0,
+                kernel_base: 0.0,
+                sides: Sides::Unknown,
+                range: self.range,
+            });
+        }
+        let number_of_chunk = self.out.chunks.len() as u32 - 1;
+        for (place, &v) in ends.iter().enumerate() {
+            let (owner, local) = self.stamp[v as usize];
+            let local = if owner == number_of_chunk {
+                local
+            } else {
+                let words = words(v as usize);
+                self.out.vertices.push(words);
+                let chunk = &mut self.out.chunks[number_of_chunk as usize];
+                chunk.kernel_base = chunk.kernel_base.max(f32::from_bits(words[4]));
+                let local = chunk.vertex_count;
+                chunk.vertex_count += 1;
+                self.stamp[v as usize] = (number_of_chunk, local);
+                local
+            };
+            word |= local << (10 * place);
+        }
+        self.out.segments.push([word, number]);
+        self.out.chunks[number_of_chunk as usize].count += 1;
+    }
+
+    /// The packed lines, with the boxes of their chunks.
+    fn finished(mut self) -> PackedLines {
+        for chunk in &mut self.out.chunks {
+            let run = &self.out.vertices[chunk.vertices()];
+            let low = run.iter().map(cell_of).fold(IVec3::MAX, IVec3::min);
+            let high = run.iter().map(cell_of).fold(IVec3::MIN, IVec3::max);
+            chunk.origin = low;
+            chunk.extent = high - low;
+        }
+        self.out
+    }
+}
+
+/// Part of a strand: vertices that follow each other.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Piece<V> {
+    /// Number of the strand in the file.
+    pub strand: u32,
+    /// Its first and last vertices are the strand's.
+    pub begins: bool,
+    pub ends: bool,
+    /// Two vertices or more.
+    pub vertices: Vec<V>,
+}
+
+/// A vertex of packed lines: its words, and its number in the file.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LineVertex {
+    pub words: [u32; LINE_WORDS],
+    pub number: u32,
+}
+
+impl LineVertex {
+    pub fn cell(&self) -> IVec3 {
+        cell_of(&self.words)
+    }
+
+    /// Radius in cells.
+    pub fn radius(&self) -> f32 {
+        f32::from_bits(self.words[4])
+    }
+}
+
+/// The strands of packed lines, each as one piece.
+pub fn unpack_lines(lines: &PackedLines) -> Vec<Piece<LineVertex>> {
+    let count = lines.strands.last().map_or(0, |&count| count as usize);
+    let mut words = vec![[0; LINE_WORDS]; count];
+    for chunk in &lines.chunks {
+        let vertices = &lines.vertices[chunk.vertices()];
+        for [link, first] in &lines.segments[chunk.elements()] {
+            for (shift, number) in [(0, *first), (10, first + 1)] {
+                if let Some(at) = words.get_mut(number as usize) {
+                    *at = vertices[(link >> shift & 0x3ff) as usize];
+                }
+            }
+        }
+    }
+    let strand = |(strand, ends): (usize, &[u32])| Piece {
+        strand: strand as u32,
+        begins: true,
+        ends: true,
+        vertices: (ends[0]..ends[1])
+            .map(|number| LineVertex { words: words[number as usize], number })
+            .collect(),
+    };
+    lines.strands.windows(2).enumerate().map(strand).collect()
+}
+
+/// Packs levels of detail, coarsest first, each with the range of its chunks.
+///
+/// # Errors
+/// There are more vertices or segments than 32 bits count.
+pub fn pack_levels(
+    lines: &PackedLines,
+    levels: &[(NodeRange, Vec<Piece<LineVertex>>)],
+) -> Result<PackedLines, PackError> {
+    let mut packer = LinePacker::new(lines.grid, lines.strands.clone());
+    for (range, pieces) in levels {
+        let vertices: Vec<LineVertex> =
+            pieces.iter().flat_map(|piece| piece.vertices.iter().copied()).collect();
+        let mut order = Vec::with_capacity(vertices.len());
+        let mut first = 0;
+        for piece in pieces {
+            let last = first + piece.vertices.len() as u32 - 1;
+            for vertex in first..last {
+                let [a, b] = [vertex, vertex + 1].map(|v| vertices[v as usize].cell());
+                let begins = piece.begins && vertex == first;
+                let word = strand_word(piece.strand, begins, piece.ends && vertex + 1 == last);
+                order.push((morton((a + b) / 2), vertex, word));
+            }
+            first = last + 1;
+        }
+        order.par_sort_unstable();
+        packer.begin(*range, vertices.len());
+        let words = |v: usize| vertices[v].words;
+        for &(_, vertex, word) in &order {
+            packer.add(&words, vertex, vertices[vertex as usize].number, word);
+        }
+        if u32::try_from(packer.out.vertices.len()).is_err() {
+            return Err(PackError::TooMany);
+        }
+    }
+    Ok(packer.finished())
+}
+
+/// Bytes that packing lines needs.
+pub(super) fn packing_bytes(lines: &Polylines) -> u64 {
+    // Cells, stamps, sides and packed vertices; the order, its keys and packed segments; chunks that share no vertices store them twice.
+    (12 + 8 + 12 + 2 * 28) * lines.positions.len() as u64
+        + (4 + 16 + 8) * lines.positions.len() as u64
+        + 4 * lines.strands.len() as u64
+}
+
+/// The grid position of a vertex.
+fn cell_of(words: &[u32; LINE_WORDS]) -> IVec3 {
+    IVec3::new(words[0] as i32, words[1] as i32, words[2] as i32)
+}
+
+/// An end of a segment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LineEnd {
+    pub position: DVec3,
+    pub radius: f64,
+    pub color: u32,
+    /// Words of normal and width; [`NO_NORMAL`] for tubes.
+    pub normal: u32,
+    pub side: u32,
+}
+
+impl PackedLines {
+    /// Both ends of a segment of a chunk.
+    pub fn ends(&self, chunk: &PackedChunk, segment: usize) -> Option<[LineEnd; 2]> {
+        let [link, _] = *self.segments.get(segment)?;
+        let end = |shift: u32| {
+            let words =
+                self.vertices.get((chunk.vertex_first + (link >> shift & 0x3ff)) as usize)?;
+            Some(LineEnd {
+                position: self.grid.position(cell_of(words)),
+                radius: f64::from(f32::from_bits(words[4])) * self.grid.step,
+                color: words[3],
+                normal: words[5],
+                side: words[6],
+            })
+        };
+        Some([end(0)?, end(10)?])
+    }
+
+    /// The strand of a segment, and the number of the segment in it.
+    pub fn strand_of(&self, segment: usize) -> Option<(u32, u32)> {
+        let [_, vertex] = *self.segments.get(segment)?;
+        let strand = self.strands.partition_point(|&first| first <= vertex).checked_sub(1)?;
+        Some((strand as u32, vertex - self.strands[strand]))
+    }
+
+    /// The mean length of a chunk's segments, in cells, times the mean angle between neighbours in radians, from [`LEAST_BEND`] to 1. Segments
+    /// without a neighbour in the chunk count as if there were one at an angle of one radian.
+    pub(in crate::bake) fn bend_of(&self, chunk: &PackedChunk) -> f64 {
+        let vertices = &self.vertices[chunk.vertices()];
+        let mut ways: Vec<(u32, u32, DVec3)> = self.segments[chunk.elements()]
+            .iter()
+            .map(|&[link, number]| {
+                let [a, b] =
+                    [0, 10].map(|shift| cell_of(&vertices[(link >> shift & 0x3ff) as usize]));
+                (number, link, (b - a).as_dvec3())
+            })
+            .collect();
+        ways.sort_unstable_by_key(|way| way.0);
+        let (mut length, mut angle) = (0.0, 0.0);
+        for (at, (number, link, way)) in ways.iter().enumerate() {
+            length += way.length();
+            let next = ways.get(at + 1).filter(|next| next.0 == number + 1 && link & ENDS == 0);
+            angle += match next {
+                Some((.., after)) if way.length() > 0.0 && after.length() > 0.0 => {
+                    way.angle_between(*after)
+                }
+                Some(_) => 0.0,
+                None => 1.0,
+            };
+        }
+        let count = ways.len().max(1) as f64;
+        length / count * (angle / count + LEAST_BEND).min(1.0)
+    }
+
+    /// The longest radius, in cells.
+    fn widest(&self) -> f32 {
+        self.chunks.iter().map(|chunk| chunk.kernel_base).fold(0.0, f32::max)
+    }
+}
+
+impl PackedKind for PackedLines {
+    fn grid(&self) -> &Grid {
+        &self.grid
+    }
+
+    fn chunks(&self) -> &[PackedChunk] {
+        &self.chunks
+    }
+
+    fn len(&self) -> usize {
+        self.segments.len()
+    }
+
+    fn arrays(&self) -> Vec<&[u32]> {
+        let PackedLines { grid: _, chunks: _, vertices, segments, strands } = self;
+        vec![vertices.as_flattened(), segments.as_flattened(), strands]
+    }
+
+    fn widths() -> &'static [usize] {
+        &[LINE_WORDS, 2, 1]
+    }
+
+    fn read(grid: Grid, chunks: Vec<PackedChunk>, arrays: &mut Arrays<'_>) -> io::Result<Self> {
+        Ok(PackedLines {
+            grid,
+            chunks,
+            vertices: arrays.rows()?,
+            segments: arrays.rows()?,
+            strands: arrays.words()?,
+        })
+    }
+
+    fn check(&self) -> Result<(), &'static str> {
+        let mut vertices = 0u64;
+        for chunk in &self.chunks {
+            holds(chunk.vertex_count as usize <= CHUNK, "a chunk has too many vertices")?;
+            holds(
+                u64::from(chunk.vertex_first) == vertices,
+                "a chunk's vertices are not the next",
+            )?;
+            vertices += u64::from(chunk.vertex_count);
+            let is_inside = |[link, _]: &[u32; 2]| {
+                [link & 0x3ff, link >> 10 & 0x3ff].iter().all(|&v| v < chunk.vertex_count)
+            };
+            let segments = &self.segments[chunk.elements()];
+            holds(segments.iter().all(is_inside), "a segment's vertex is not in its chunk")?;
+        }
+        holds(vertices == self.vertices.len() as u64, "chunks do not have all vertices")?;
+        holds(u32::try_from(vertices).is_ok(), "there are too many vertices")?;
+        let is_radius = |words: &[u32; LINE_WORDS]| {
+            let radius = f32::from_bits(words[4]);
+            radius >= 0.0 && radius.is_finite()
+        };
+        holds(self.vertices.iter().all(is_radius), "a radius is none")?;
+        let is_sorted = self.strands.windows(2).all(|ends| ends[0] < ends[1]);
+        holds(is_sorted, "strands are not in order")?;
+        let end = self.strands.last().copied().unwrap_or(0);
+        let is_known = |&[_, vertex]: &[u32; 2]| vertex < end;
+        holds(self.segments.iter().all(is_known), "a segment's vertex is in no strand")
+    }
+
+    fn page(&self, _chunk: &PackedChunk) -> PageKind {
+        PageKind::plain(GeometryKind::Lines)
+    }
+
+    fn streams(_page: PageKind) -> Vec<Stream> {
+        vec![
+            Stream { name: "line_segments", words: 2, of: StreamOf::Elements },
+            Stream { name: "line_vertices", words: LINE_WORDS, of: StreamOf::Vertices },
+        ]
+    }
+
+    fn stream(&self, _page: PageKind, name: &str, range: Range<usize>) -> Cow<'_, [u32]> {
+        match name {
+            "line_segments" => self.segments[range].as_flattened().into(),
+            _ => self.vertices[range].as_flattened().into(),
+        }
+    }
+
+    fn visit_elements(
+        &self,
+        chunk: &PackedChunk,
+        range: Range<usize>,
+        visit: &mut dyn FnMut(&[IVec3]),
+    ) {
+        let vertices = &self.vertices[chunk.vertices()];
+        for [link, _] in &self.segments[range] {
+            visit(&[0, 10].map(|shift| cell_of(&vertices[(link >> shift & 0x3ff) as usize])));
+        }
+    }
+
+    fn visit_cells(&self, chunk: &PackedChunk, visit: &mut dyn FnMut(IVec3)) {
+        self.vertices[chunk.vertices()].iter().map(cell_of).for_each(visit);
+    }
+
+    /// How much less the largest radius among a range of segments is than the chunk's.
+    fn shortness(&self, range: Range<usize>) -> u32 {
+        let number = self.chunks.partition_point(|chunk| chunk.first as usize <= range.start);
+        let Some(chunk) = number.checked_sub(1).map(|number| &self.chunks[number]) else {
+            return 0;
+        };
+        let vertices = &self.vertices[chunk.vertices()];
+        let radius =
+            |link: u32, shift: u32| f32::from_bits(vertices[(link >> shift & 0x3ff) as usize][4]);
+        let most = self.segments[range]
+            .iter()
+            .map(|&[link, _]| radius(link, 0).max(radius(link, 10)))
+            .fold(0.0, f32::max);
+        // Conversions saturate: a part without radii has infinity here.
+        (16.0 * (chunk.kernel_base / most).log2()).clamp(0.0, 255.0) as u32
+    }
+
+    fn core(&self) -> Option<Bounds> {
+        None
+    }
+
+    fn weight(&self, corners: &[DVec3]) -> f64 {
+        let &[a, b] = corners else { return 0.0 };
+        a.distance(b)
+    }
+
+    fn stray_weight(&self) -> f64 {
+        0.0
+    }
+
+    fn corner_radius(&self) -> f64 {
+        let extent = self.chunks.iter().map(|chunk| chunk.extent.as_uvec3().max_element()).max();
+        let widest = f64::from(self.widest());
+        // Thin lines add nothing to a frame.
+        if widest > 1e-3 * f64::from(extent.unwrap_or(0)) { widest * self.grid.step } else { 0.0 }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,63 @@
+use super::*;
+
+fn params(query: &str) -> FrameParams {
+    FrameParams::from_query(Some(query)).unwrap()
+}
+
+fn coarse(query: &str, scale: f64, coarseness: f64) -> Wanted {
+    let pace = Pace { scale, coarseness, jpeg_quality: 60 };
+    wanted("s", &params(query), Quality::Moving, pace).unwrap()
+}
+
+fn moving(query: &str, scale: f64) -> Wanted {
+    coarse(query, scale, 1.0)
+}
+
+#[test]
+fn moving_frames_are_smaller_and_jpeg_where_a_browser_could_show_them() {
+    let seen = moving("w=800&h=600&format=png", 0.5).request;
+    assert_eq!(
+        (seen.width, seen.height, seen.format, seen.quality),
+        (400, 300, ImageFormat::Jpeg, 60)
+    );
+    let raw = moving("w=800&h=600&format=raw", 0.5).request;
+    assert_eq!((raw.width, raw.format), (400, ImageFormat::Raw));
+    let depth = moving("w=800&h=600&output=depth", 0.5).request;
+    assert_eq!((depth.width, depth.format), (400, ImageFormat::Png));
+    assert_eq!(moving("w=800&h=600&quality=30", 0.5).request.quality, 30, "no better than asked");
+}
+
+#[test]
+fn small_frames_stay_visible() {
+    let seen = moving("w=100&h=80", 0.25);
+    assert_eq!((seen.request.width, seen.request.height), (80, 64));
+    assert_eq!(moving("w=20&h=10", 0.25).request.height, 10);
+}
+
+#[test]
+fn what_is_as_good_as_asked_is_still() {
+    assert_eq!(moving("w=64&h=64&format=raw", 0.25).quality, Quality::Still);
+    assert_eq!(moving("w=64&h=64&quality=50", 1.0).quality, Quality::Still);
+    assert_eq!(moving("w=64&h=64&quality=90", 1.0).quality, Quality::Moving);
+    assert_eq!(moving("w=64&h=64&format=png", 1.0).quality, Quality::Moving);
+    // Full detail has no error that could grow.
+    assert_eq!(coarse("w=64&h=64&format=raw", 0.25, 4.0).quality, Quality::Still);
+    assert_eq!(coarse("w=64&h=64&format=raw&lod=spt", 0.25, 4.0).quality, Quality::Moving);
+}
+
+#[test]
+fn moving_frames_of_point_trees_are_coarser_and_still_ones_are_not() {
+    let error = |query: &str, coarseness| {
+        let request = coarse(query, 0.25, coarseness).request;
+        Made::of(&request).accepted_px
+    };
+    assert_eq!(error("lod=spt", 1.0), Some(1.0));
+    assert_eq!(error("lod=spt", 4.0), Some(4.0));
+    assert_eq!(error("lod=spt&max_error_px=0.5", 4.0), Some(2.0));
+    assert_eq!(error("lod=spt&max_error_px=2", 4.0), Some(4.0), "no more than that");
+    assert_eq!(error("lod=spt&max_error_px=9", 4.0), Some(9.0), "unless it was asked for");
+    assert_eq!(error("lod=full", 4.0), None);
+    let pace = Pace { scale: 0.25, coarseness: 4.0, jpeg_quality: 60 };
+    let still = wanted("s", &params("lod=spt"), Quality::Still, pace).unwrap();
+    assert_eq!(Made::of(&still.request).accepted_px, Some(1.0));
+}

@@ -1,0 +1,202 @@
+//! Lines: which pixels' rays meet them, and what they show there.
+//!
+//! A tube is the union of balls along its segments ([`Tube`]), a ribbon two triangles a segment. Both have their true width here however
+//! thin they are: with many sub-pixels a pixel, that is what thin lines look like.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use crate::assets::{Material, Polylines};
+use crate::math::{Tube, View};
+use crate::scene::recolor::{NO_VALUE, Recolor};
+
+use super::color::linear_from_srgba8;
+use super::prepare::{Prepared, PreparedItem};
+use super::surface::{LitAs, Surface, overridden, surface as surface_of};
+use super::visibility::{Hit, SeenTriangle, band_rows, keep_nearer, pixel_ray, pixels_between};
+
+/// Width in pixels from which on a tube has the normals of its surface; a thinner one is lit by its direction.
+const ROUND_PX: f64 = 2.0;
+
+/// A segment in view space.
+#[allow(
+    clippy::large_enum_variant,
+    reason = "the reference is written for clarity, and few lines are seen at a time"
+)]
+enum Seen {
+    Tube(Tube),
+    Ribbon([Option<SeenTriangle>; 2]),
+}
+
+/// Where a pixel's ray meets a segment.
+struct Met {
+    depth: f64,
+    share: f64,
+    /// In view space; zero for ribbons.
+    normal: DVec3,
+}
+
+impl Seen {
+    fn new(item: &PreparedItem<'_>, lines: &Polylines, view: &View, vertex: u32) -> Option<Seen> {
+        let ends = [vertex as usize, vertex as usize + 1];
+        let [a, b] = ends.map(|v| lines.positions.get(v).and_then(|&p| item.to_view(p)));
+        let (a, b) = (a?, b?);
+        let stretch = item.greatest_stretch();
+        let radius =
+            |v: usize| lines.radii.as_ref().map_or(0.0, |radii| f64::from(radii[v])) * stretch;
+        let radii = ends.map(radius);
+        let Some(normals) = &lines.normals else {
+            return Some(Seen::Tube(Tube { ends: [a, b], radii }));
+        };
+        let strand = lines.strand_of(vertex);
+        let side = |place: usize| {
+            let side = lines.side(normals, ends[place], strand.clone());
+            item.to_view_direction(side).normalize_or_zero() * radii[place]
+        };
+        let (sa, sb) = (side(0), side(1));
+        let corners = [[a - sa, a + sa, b + sb], [a - sa, b + sb, b - sb]];
+        Some(Seen::Ribbon(corners.map(|corners| SeenTriangle::new(corners, view.projection))))
+    }
+
+    /// Pixels that hold every covered one.
+    fn pixel_box(&self, view: &View) -> Option<[usize; 4]> {
+        match self {
+            Seen::Tube(Tube { ends, radii }) => {
+                let corners = ends.iter().zip(radii).flat_map(|(&end, &radius)| {
+                    (0..8).map(move |i| {
+                        let sign = |bit: u32| if i >> bit & 1 == 0 { -radius } else { radius };
+                        end + DVec3::new(sign(0), sign(1), sign(2))
+                    })
+                });
+                let corners: Vec<DVec3> = corners.collect();
+                if corners.iter().all(|corner| corner.z >= 0.0) {
+                    return None;
+                }
+                let images: Option<Vec<_>> = corners.iter().map(|&c| view.project(c)).collect();
+                let Some(images) = images else {
+                    return Some([0, view.width as usize, 0, view.height as usize]);
+                };
+                let low = images.iter().copied().reduce(glam::DVec2::min)?;
+                let high = images.iter().copied().reduce(glam::DVec2::max)?;
+                Some(pixels_between(view, low, high))
+            }
+            Seen::Ribbon(triangles) => {
+                let boxes = triangles.iter().flatten().filter_map(|t| t.pixel_box(view));
+                boxes
+                    .reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1]), a[2].min(b[2]), a[3].max(b[3])])
+            }
+        }
+    }
+
+    fn meet(&self, view: &View, ray: DVec3) -> Option<Met> {
+        match self {
+            Seen::Tube(tube) => {
+                let (origin, way) = (view.at_depth(ray, 0.0), view.towards(ray));
+                let entry = tube.enter(origin, way)?;
+                let depth = -(origin + way * entry.at).z;
+                Some(Met { depth, share: entry.share, normal: entry.normal })
+            }
+            Seen::Ribbon(triangles) => {
+                let covers = |t: &&SeenTriangle| t.covers(ray);
+                let which =
+                    triangles.iter().position(|t| t.as_ref().is_some_and(|t| covers(&t)))?;
+                let triangle = triangles[which].as_ref()?;
+                let [_, second, third] = triangle.weights(ray);
+                let share = if which == 0 { third } else { second + third };
+                Some(Met { depth: triangle.depth(ray), share, normal: DVec3::ZERO })
+            }
+        }
+    }
+}
+
+/// Adds the hits of a geometry of lines.
+pub fn add(
+    prepared: &Prepared<'_>,
+    view: &View,
+    frame: &mut [Option<Hit>],
+    (number, item, lines): (u32, &PreparedItem<'_>, &Polylines),
+) {
+    let seen = |vertex: u32| {
+        let seen = Seen::new(item, lines, view, vertex)?;
+        let pixels = seen.pixel_box(view)?;
+        Some((vertex, seen, pixels))
+    };
+    let vertices: Vec<u32> = lines.segments().collect();
+    let segments: Vec<_> = vertices.into_par_iter().filter_map(seen).collect();
+    let width = view.width as usize;
+    let rows = band_rows(view.height as usize);
+    frame.par_chunks_mut((width * rows).max(1)).enumerate().for_each(|(band, pixels)| {
+        let (y_begin, y_end) = (band * rows, band * rows + pixels.len() / width);
+        for (vertex, seen, [x0, x1, y0, y1]) in &segments {
+            for y in (*y0).max(y_begin)..(*y1).min(y_end) {
+                for x in *x0..*x1 {
+                    let ray = pixel_ray(view, x, y);
+                    let Some(met) = seen.meet(view, ray) else { continue };
+                    let hit = Hit { depth: met.depth, item: number, index: *vertex };
+                    if hit.depth > 0.0 && prepared.shows(view, view.at_depth(ray, hit.depth)) {
+                        keep_nearer(prepared, &mut pixels[(y - y_begin) * width + x], hit);
+                    }
+                }
+            }
+        }
+    });
+}
+
+/// The point of a segment that a pixel shows.
+pub fn surface(
+    prepared: &Prepared<'_>,
+    view: &View,
+    item: &PreparedItem<'_>,
+    lines: &Polylines,
+    (hit, x, y): (&Hit, usize, usize),
+) -> Surface {
+    let world_from_view = view.view_from_world.transpose();
+    let ray = pixel_ray(view, x, y);
+    let material = overridden(item, &Material::default());
+    let position = view.at_depth(ray, hit.depth);
+    let seen = Seen::new(item, lines, view, hit.index);
+    let met = seen.as_ref().and_then(|seen| seen.meet(view, ray));
+    let (Some(seen), Some(met)) = (seen, met) else {
+        // No hit comes from such a segment.
+        return surface_of([0.0; 4], (view, position), DVec3::ZERO, &material);
+    };
+    let ends = [hit.index as usize, hit.index as usize + 1];
+    let mix = |[a, b]: [f64; 2]| a + (b - a) * met.share;
+    let mut color = [1.0; 4];
+    if let Some(colors) = &lines.colors {
+        let [a, b] = ends.map(|v| linear_from_srgba8(colors[v]));
+        color = std::array::from_fn(|channel| mix([a[channel], b[channel]]));
+    }
+    for (channel, factor) in color.iter_mut().zip(material.base_color) {
+        *channel *= f64::from(factor);
+    }
+    if let Some(Recolor::Field { .. }) = prepared.scene.recolor {
+        let [r, g, b, _] = linear_from_srgba8([NO_VALUE, NO_VALUE, NO_VALUE, 255]);
+        color = [r, g, b, color[3]];
+    }
+    match seen {
+        Seen::Tube(tube) => {
+            let axis = tube.ends[1] - tube.ends[0];
+            let at = tube.ends[0] + axis * met.share;
+            let focal = (view.focal_px.x * view.focal_px.y).sqrt();
+            let width_px = 2.0 * mix(tube.radii) * focal / view.divisor(-at.z);
+            if width_px >= ROUND_PX {
+                let normal = world_from_view * met.normal;
+                return surface_of(color, (view, position), normal, &material);
+            }
+            let way = view.towards(position);
+            let tangent = axis.normalize_or_zero();
+            let across = tangent * way.dot(tangent) - way;
+            let surface = surface_of(color, (view, position), world_from_view * across, &material);
+            Surface { lit_as: LitAs::Line(world_from_view * tangent), ..surface }
+        }
+        Seen::Ribbon(_) => {
+            let normal = lines.normals.as_ref().map_or(DVec3::ZERO, |normals| {
+                let [a, b] = ends.map(|v| normals[v].as_dvec3());
+                item.normal_world_from_geometry * a.lerp(b, met.share)
+            });
+            let surface = surface_of(color, (view, position), normal, &material);
+            Surface { lit_as: LitAs::Sheet, ..surface }
+        }
+    }
+}

@@ -1,0 +1,551 @@
+//! Gaps between samples, filled from coarser levels of the image (Marroquim et al. 2008, §3), with the changes that `shaders/shared/patches`
+//! lists.
+//!
+//! 1. *Level 0.* Each pixel keeps the nearest of the samples that project into it, if it is nearer than the triangle there. The sample becomes a
+//!    [`Patch`]: the ellipse that its disk is in the image, its plane, colour and normal.
+//! 2. *Pull.* A pixel of the next level combines the patches of its four pixels that cover its centre and belong to the nearest surface there.
+//! 3. *Push.* From the coarsest level down, each pixel combines its patch with those of the four nearest pixels of the coarser level that cover
+//!    its centre. Level 0 gives the image.
+
+use glam::{DMat2, DVec2, DVec3};
+use rayon::prelude::*;
+
+use crate::assets::{Clip, Geometry, PointCloud};
+use crate::math::View;
+use crate::scene::{PullPush, PullPushWeights};
+
+use super::blend::{Blended, facing};
+use super::footprint::Disk;
+use super::prepare::{Prepared, PreparedItem};
+use super::shade::shade;
+use super::splats::{camera_from_view, clip, tangents};
+use super::surface::{self, Surface};
+use super::visibility::{Hit, pixel_ray};
+
+/// Ellipses are widened by this part of a pixel of their level, and by so many pixels at level 0.
+const WIDEN: f64 = 0.3;
+const WIDEN_PX: f64 = 0.75;
+/// Part of the variance of centres that combined ellipses have.
+const CENTRES: f64 = 2.3;
+/// Least width of a patch's disks, in pixels of the level that it is combined into.
+const LEAST_DISK: f64 = 0.4;
+/// Squared distances up to which places between patches, and between four patches, count as covered.
+const BETWEEN: f64 = 4.0;
+const BETWEEN_FOUR: f64 = 16.0;
+/// Cosine below which two patches lie on opposite sides.
+const OPPOSITE: f64 = -0.3;
+/// Exponent of weights at an outline.
+const FALL: f64 = 2.5;
+/// Weight of a pixel's own sample at level 0.
+const OWN: f64 = 0.25;
+/// Radii of a disk that its plane is followed for.
+const FOLLOWED: f64 = 1.5;
+/// Share of the camera plane's distance that disks reach at most.
+const STEEPEST: f64 = 0.8;
+/// Variance in square pixels below which an ellipse tells no slope.
+const THIN: f64 = 0.09;
+/// Least part of its radius that a clip line leaves of a disk.
+const LEAST_KEPT: f64 = 0.02;
+
+/// A patch: the surface as a pixel of a level knows it.
+#[derive(Clone, Copy, Debug)]
+struct Patch {
+    /// The sample that counts the most.
+    source: Hit,
+    /// 1 the outside, −1 the inside, 0 where normals do not tell.
+    facing: i8,
+    /// 1/z at the ellipse's centre, or z where rays are parallel.
+    value: f64,
+    at_px: DVec2,
+    /// Variance in square pixels; the outline is at the squared distance 1.
+    spread: DMat2,
+    /// Radius of the disks in pixels, if they faced the eye.
+    radius_px: f64,
+    /// Change of the value for each pixel; in perspective relative to the value.
+    slope: DVec2,
+    color: [f64; 3],
+    normal_world: DVec3,
+}
+
+/// A patch at a place: squared distance in half axes, 1/z, and 1/z behind the surface by the depth offset.
+#[derive(Clone, Copy)]
+struct Seen {
+    patch: Patch,
+    distance: f64,
+    inverse: f64,
+    behind: f64,
+}
+
+/// The rows of a level's patches.
+struct Level {
+    width: usize,
+    height: usize,
+    patches: Vec<Option<Patch>>,
+}
+
+impl Level {
+    fn at(&self, x: isize, y: isize) -> Option<Patch> {
+        let (x, y) = (usize::try_from(x).ok()?, usize::try_from(y).ok()?);
+        (x < self.width && y < self.height).then(|| self.patches[y * self.width + x])?
+    }
+}
+
+/// Facts that all steps need.
+struct Steps<'a> {
+    prepared: &'a Prepared<'a>,
+    view: &'a View,
+    settings: &'a PullPush,
+}
+
+/// The pixels of `view` that show samples before the `hits` of triangles.
+pub fn pulled(
+    prepared: &Prepared<'_>,
+    view: &View,
+    settings: &PullPush,
+    hits: &[Option<Hit>],
+) -> Vec<Option<Blended>> {
+    let steps = Steps { prepared, view, settings };
+    let mut levels = vec![steps.samples(hits)];
+    while let Some(last) = levels.last()
+        && (levels.len() == 1 || last.width * last.height > 1)
+    {
+        let next = steps.pull(last, levels.len());
+        levels.push(next);
+    }
+    let mut coarser = levels.pop();
+    while levels.len() > 1 {
+        let (Some(above), Some(own)) = (&coarser, levels.pop()) else { break };
+        coarser = Some(steps.push(&own, above, levels.len()));
+    }
+    match (levels.pop(), coarser) {
+        (Some(image), Some(above)) => steps.finish(&image, &above, hits),
+        _ => vec![None; hits.len()],
+    }
+}
+
+impl Steps<'_> {
+    fn focal_px(&self) -> f64 {
+        self.view.focal_px.y
+    }
+
+    /// Level 0.
+    fn samples(&self, hits: &[Option<Hit>]) -> Level {
+        let (width, height) = (self.view.width as usize, self.view.height as usize);
+        let mut nearest: Vec<Option<(Hit, u32)>> = vec![None; width * height];
+        let mut patches = vec![None; width * height];
+        for (number, item) in self.prepared.items.iter().enumerate() {
+            let Geometry::Points(cloud) = item.item.geometry else { continue };
+            for index in 0..cloud.positions.len() {
+                let Some((pixel, depth)) = self.pixel_of(item, cloud, index) else { continue };
+                let hit = Hit { depth, item: number as u32, index: index as u32 };
+                let key = |hit: &Hit, instance: u32| (instance, hit.index, hit.item);
+                let instance = item.item.instance;
+                let is_nearer = nearest[pixel].is_none_or(|(old, other)| {
+                    depth < old.depth
+                        || (depth == old.depth && key(&hit, instance) < key(&old, other))
+                });
+                if is_nearer && hits[pixel].is_none_or(|triangle| depth < triangle.depth) {
+                    nearest[pixel] = Some((hit, instance));
+                }
+            }
+        }
+        patches.par_iter_mut().zip(&nearest).for_each(|(patch, nearest)| {
+            *patch = nearest.and_then(|(hit, _)| self.disk(&hit));
+        });
+        Level { width, height, patches }
+    }
+
+    /// The pixel that a sample is drawn in: its own, or the nearest one of the border that its disk may reach.
+    fn pixel_of(
+        &self,
+        item: &PreparedItem<'_>,
+        cloud: &PointCloud,
+        index: usize,
+    ) -> Option<(usize, f64)> {
+        let view = self.view;
+        let position = item.to_view(*cloud.positions.get(index)?)?;
+        let depth = -position.z;
+        let centre = view.project(position)?;
+        if depth <= 0.0 || !self.prepared.shows(view, position) {
+            return None;
+        }
+        let size = DVec2::new(f64::from(view.width), f64::from(view.height));
+        let axes = self.axes(item, cloud, index, position);
+        let longest = axes[0].length().max(axes[1].length());
+        let reach = view.focal_px
+            * (f64::from(self.settings.splats.cutoff) * longest / view.divisor(depth));
+        let inside = centre.cmpge(DVec2::ZERO).all() && centre.cmplt(size).all();
+        let near = (centre + reach).cmpgt(DVec2::ZERO).all() && (centre - reach).cmplt(size).all();
+        (inside || near).then(|| {
+            let pixel = centre.clamp(DVec2::ZERO, size - 1.0).floor();
+            (pixel.y as usize * view.width as usize + pixel.x as usize, depth)
+        })
+    }
+
+    /// A disk's axes in camera space, one standard deviation long.
+    fn axes(
+        &self,
+        item: &PreparedItem<'_>,
+        cloud: &PointCloud,
+        index: usize,
+        position: DVec3,
+    ) -> [DVec3; 2] {
+        let way = camera_from_view(self.view.towards(position));
+        let width = f64::from(self.settings.splats.width);
+        tangents(item, cloud, index, way).map(|axis| axis * width)
+    }
+
+    /// The patch of a sample's disk.
+    fn disk(&self, hit: &Hit) -> Option<Patch> {
+        let view = self.view;
+        let item = &self.prepared.items[hit.item as usize];
+        let Geometry::Points(cloud) = item.item.geometry else { return None };
+        let index = hit.index as usize;
+        let position = item.to_view(*cloud.positions.get(index)?)?;
+        let cutoff = f64::from(self.settings.splats.cutoff);
+        let whole = self.axes(item, cloud, index, position);
+        let (centre, axes) =
+            kept_part(&clip(cloud, index), f64::from(self.settings.splats.width), cutoff, whole);
+        let centre = camera_from_view(position) + centre;
+        let radius = cutoff * axes[0].length().max(axes[1].length());
+        let radius_px = radius * self.focal_px() / view.divisor(centre.z) + 0.5;
+        let mut disk = Disk::new(centre, axes, view);
+        let slopes = match view.is_orthographic() {
+            true => DVec2::new(axes[0].z, axes[1].z),
+            false => {
+                let steep = cutoff * disk.tangents[0].z.hypot(disk.tangents[1].z);
+                let shrunk = (STEEPEST / steep.max(1e-20)).min(1.0);
+                disk.tangents = disk.tangents.map(|tangent| tangent * shrunk);
+                DVec2::new(disk.tangents[0].z, disk.tangents[1].z)
+            }
+        };
+        let outline = disk.perspective_by_dual(cutoff);
+        let jacobian = disk.jacobian();
+        let thin = DMat2::from_diagonal(DVec2::splat(THIN / (cutoff * cutoff)));
+        let sign = if view.is_orthographic() { 1.0 } else { -1.0 };
+        let slope = (jacobian * jacobian.transpose() + thin).inverse() * (jacobian * slopes * sign);
+        let shift = outline.centre_px - disk.centre_px;
+        let (value, slope) = if view.is_orthographic() {
+            (centre.z, slope)
+        } else {
+            let change = (1.0 + slope.dot(shift)).clamp(0.1, 10.0);
+            (change / centre.z, slope / change)
+        };
+        let surface = surface::at(self.prepared, view, hit, 0, 0);
+        Some(Patch {
+            source: *hit,
+            facing: facing(item, cloud, index, view),
+            value,
+            at_px: outline.centre_px,
+            spread: outline.variance() * (cutoff * cutoff),
+            radius_px,
+            slope,
+            color: surface.albedo,
+            normal_world: surface.normal_world,
+        })
+    }
+
+    /// A patch as it is seen from a place in the image.
+    fn see(&self, patch: Patch, place_px: DVec2, widen_px: f64) -> Seen {
+        let widened = patch.spread + DMat2::from_diagonal(DVec2::splat(widen_px * widen_px));
+        let away = place_px - patch.at_px;
+        let distance = away.dot(widened.inverse() * away);
+        let inverse = 1.0 / self.depth(&patch, place_px);
+        let offset =
+            f64::from(self.settings.splats.depth_offset) * patch.radius_px / self.focal_px();
+        let behind = match self.view.is_orthographic() {
+            true => inverse / (1.0 + offset * inverse),
+            false => inverse / (1.0 + offset),
+        };
+        Seen { patch, distance, inverse, behind }
+    }
+
+    /// Distance along the viewing axis of a patch's plane.
+    fn depth(&self, patch: &Patch, place_px: DVec2) -> f64 {
+        let along = patch.slope.dot(place_px - patch.at_px);
+        let far = FOLLOWED * patch.radius_px / self.focal_px();
+        if self.view.is_orthographic() {
+            return (patch.value + along.clamp(-far, far)).max(f64::MIN_POSITIVE);
+        }
+        let nearest = if far < 0.999 { 1.0 / (1.0 - far) } else { 1e6 };
+        1.0 / (patch.value * (1.0 + along).clamp(1.0 / (1.0 + far), nearest))
+    }
+
+    fn weight(&self, seen: &Seen) -> f64 {
+        match self.settings.weights {
+            PullPushWeights::Gaussian => (-FALL * seen.distance.min(1.0)).exp(),
+            PullPushWeights::Box => 1.0,
+        }
+    }
+
+    /// One patch of several, about a place.
+    fn combine(&self, parts: &[(Patch, f64)]) -> Option<Patch> {
+        let sum: f64 = parts.iter().map(|(_, weight)| weight).sum();
+        let (most, _) = parts.iter().rev().max_by(|a, b| a.1.total_cmp(&b.1))?;
+        let mean = |value: &dyn Fn(&Patch) -> f64| {
+            parts.iter().map(|(patch, weight)| value(patch) * weight).sum::<f64>() / sum
+        };
+        let at_px = DVec2::new(mean(&|patch| patch.at_px.x), mean(&|patch| patch.at_px.y));
+        let spread = parts.iter().fold(DMat2::ZERO, |spread, (patch, weight)| {
+            let away = patch.at_px - at_px;
+            let outer = DMat2::from_cols(away * away.x, away * away.y);
+            spread + (patch.spread + outer * CENTRES) * (weight / sum)
+        });
+        let normal =
+            parts.iter().map(|(patch, weight)| patch.normal_world * *weight).sum::<DVec3>();
+        let value = |patch: &Patch| match self.view.is_orthographic() {
+            true => self.depth(patch, at_px),
+            false => 1.0 / self.depth(patch, at_px),
+        };
+        Some(Patch {
+            value: mean(&value),
+            at_px,
+            spread,
+            radius_px: mean(&|patch| patch.radius_px),
+            slope: DVec2::new(mean(&|patch| patch.slope.x), mean(&|patch| patch.slope.y)),
+            color: std::array::from_fn(|channel| mean(&|patch| patch.color[channel])),
+            normal_world: normal.try_normalize().unwrap_or(DVec3::ZERO),
+            ..*most
+        })
+    }
+
+    fn pull(&self, finer: &Level, number: usize) -> Level {
+        let (width, height) = (finer.width.div_ceil(2), finer.height.div_ceil(2));
+        let size = (1u64 << number) as f64;
+        let patch = |pixel: usize| {
+            let (x, y) = (pixel % width, pixel / width);
+            let place = (DVec2::new(x as f64, y as f64) + 0.5) * size;
+            let (x, y) = (2 * x as isize, 2 * y as isize);
+            let children = [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)];
+            let children = children.map(|(x, y)| {
+                let patch = finer.at(x, y).filter(|patch| patch.radius_px >= LEAST_DISK * size)?;
+                Some(self.see(patch, place, WIDEN * size))
+            });
+            let is_covered = children.iter().flatten().any(|seen| seen.distance <= 1.0);
+            // Where nothing covers the centre, disks beside the image count: no coarser level reaches beyond the border.
+            let covers = |seen: &Seen| match is_covered {
+                true => seen.distance <= 1.0,
+                false => self.is_beside(&seen.patch),
+            };
+            let (front, side) = front(&children, covers);
+            let parts: Vec<(Patch, f64)> = children
+                .iter()
+                .flatten()
+                .filter(|seen| covers(seen) && belongs(seen, front, side))
+                .map(|seen| (seen.patch, self.weight(seen)))
+                .collect();
+            self.combine(&parts).map(|patch| Patch { facing: side, ..patch })
+        };
+        let patches = (0..width * height).into_par_iter().map(patch).collect();
+        Level { width, height, patches }
+    }
+
+    /// Whether a patch's centre lies beside the image.
+    fn is_beside(&self, patch: &Patch) -> bool {
+        let size = DVec2::new(f64::from(self.view.width), f64::from(self.view.height));
+        !(patch.at_px.cmpge(DVec2::ZERO).all() && patch.at_px.cmple(size).all())
+    }
+
+    fn push(&self, own: &Level, coarser: &Level, number: usize) -> Level {
+        let size = (1u64 << number) as f64;
+        let patch = |pixel: usize| {
+            let (x, y) = (pixel % own.width, pixel / own.width);
+            let place = (DVec2::new(x as f64, y as f64) + 0.5) * size;
+            let mine = own.patches[pixel];
+            let found = self.around(coarser, (x, y), place, WIDEN * size, mine.is_none(), false);
+            let seen = mine.map(|patch| self.see(patch, place, WIDEN * size));
+            let seen = seen.filter(|seen| is_seen(seen.inverse, seen.patch.facing, &found));
+            let (parts, side) = self.parts(&found, seen.as_ref(), 1.0);
+            self.combine(&parts).map(|patch| Patch { facing: side, ..patch })
+        };
+        let patches = (0..own.patches.len()).into_par_iter().map(patch).collect();
+        Level { width: own.width, height: own.height, patches }
+    }
+
+    /// The surface at a place, as the four nearest pixels of the coarser level know it.
+    fn around(
+        &self,
+        coarser: &Level,
+        (x, y): (usize, usize),
+        place: DVec2,
+        widen_px: f64,
+        may_close: bool,
+        is_last: bool,
+    ) -> Around {
+        // The corner of the coarser level that the pixel touches.
+        let (left, above) = (x.div_ceil(2) as isize - 1, y.div_ceil(2) as isize - 1);
+        let share = |is_far: bool| if is_far { 0.75 } else { 0.25 };
+        let (right, down) = (share(x % 2 == 0), share(y % 2 == 0));
+        let four = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| {
+            let patch = coarser.at(left + dx, above + dy)?;
+            Some(self.see(patch, place, widen_px))
+        });
+        let bilinear = [
+            (1.0 - right) * (1.0 - down),
+            right * (1.0 - down),
+            (1.0 - right) * down,
+            right * down,
+        ];
+        let mut covers = four.map(|seen| seen.is_some_and(|seen| seen.distance <= 1.0));
+        if may_close && covers == [false; 4] {
+            covers = between(&four, place, widen_px, is_last);
+        }
+        let covering: [Option<Seen>; 4] = std::array::from_fn(|i| four[i].filter(|_| covers[i]));
+        let (front, side) = front(&covering, |_| true);
+        Around { covering, bilinear, front, side }
+    }
+
+    /// The patches at a place that belong to its nearest surface, with their weights, and the side that they show.
+    fn parts(
+        &self,
+        around: &Around,
+        own: Option<&Seen>,
+        own_weight: f64,
+    ) -> (Vec<(Patch, f64)>, i8) {
+        let (mut front, mut side) = (around.front, around.side);
+        let mut parts = Vec::new();
+        if let Some(own) = own {
+            if own.behind > front {
+                (front, side) = (own.behind, own.patch.facing);
+            }
+            parts.push((own.patch, own_weight));
+        }
+        for (seen, bilinear) in around.covering.iter().zip(around.bilinear) {
+            if let Some(seen) = seen.filter(|seen| belongs(seen, front, side)) {
+                parts.push((seen.patch, self.weight(&seen) * bilinear));
+            }
+        }
+        (parts, side)
+    }
+
+    /// The image: level 0, completed and lit.
+    fn finish(&self, image: &Level, coarser: &Level, hits: &[Option<Hit>]) -> Vec<Option<Blended>> {
+        let pixel = |pixel: usize| {
+            let (x, y) = (pixel % image.width, pixel / image.width);
+            let place = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+            let own = image.patches[pixel].map(|patch| self.see(patch, place, WIDEN_PX));
+            let is_elsewhere = own.is_some_and(|own| own.distance > 1.0);
+            let own = own.filter(|_| !is_elsewhere);
+            let found = self.around(coarser, (x, y), place, WIDEN_PX, own.is_none(), true);
+            // The sample's own depth, not that of its plane.
+            let own = own.map(|own| Seen { inverse: 1.0 / own.patch.source.depth, ..own });
+            let own_seen = own.filter(|own| is_seen(own.inverse, own.patch.facing, &found));
+            let triangle = hits[pixel].filter(|_| image.patches[pixel].is_none());
+            let hides = triangle.is_some_and(|hit| 1.0 / hit.depth >= found.front);
+            if own_seen.is_none() && (found.front == 0.0 || hides) {
+                return None;
+            }
+            let (parts, _) = self.parts(&found, own_seen.as_ref(), OWN);
+            let patch = self.combine(&parts)?;
+            let sum: f64 = parts.iter().map(|(_, weight)| weight).sum();
+            let inverse = parts.iter().enumerate().map(|(i, (patch, weight))| match own_seen {
+                Some(own) if i == 0 => own.inverse * weight,
+                _ => weight / self.depth(patch, place),
+            });
+            let depth = sum / inverse.sum::<f64>();
+            let ray = pixel_ray(self.view, x, y);
+            if own_seen.is_none() && !self.prepared.shows(self.view, self.view.at_depth(ray, depth))
+            {
+                return None;
+            }
+            let source = own_seen.map_or(patch.source, |own| own.patch.source);
+            Some(self.lit(&Patch { source, ..patch }, self.view.at_depth(ray, depth), depth))
+        };
+        (0..image.patches.len()).into_par_iter().map(pixel).collect()
+    }
+
+    fn lit(&self, patch: &Patch, position_view: DVec3, depth: f64) -> Blended {
+        let world_from_view = self.view.view_from_world.transpose();
+        let mut surface = Surface {
+            albedo: patch.color,
+            position_from_eye: world_from_view * position_view,
+            way: world_from_view * self.view.towards(position_view),
+            normal_world: patch.normal_world,
+            ..surface::at(self.prepared, self.view, &patch.source, 0, 0)
+        };
+        surface.turn_to_eye();
+        let instance = self.prepared.instance(&patch.source);
+        surface.recolor(self.prepared.scene.recolor.as_ref(), self.view, instance);
+        let color = shade(&surface, self.prepared.scene.lights, self.view.eye);
+        Blended { color, normal_world: surface.normal_world, depth, instance }
+    }
+}
+
+/// The patches of a coarser level that cover a place.
+struct Around {
+    covering: [Option<Seen>; 4],
+    bilinear: [f64; 4],
+    /// 1/z behind the nearest one, 0 if there is none, and the side that it shows.
+    front: f64,
+    side: i8,
+}
+
+fn front(four: &[Option<Seen>; 4], covers: impl Fn(&Seen) -> bool) -> (f64, i8) {
+    let covering = four.iter().flatten().filter(|seen| covers(seen));
+    covering.fold((0.0, 0), |(front, side), seen| match seen.behind > front {
+        true => (seen.behind, seen.patch.facing),
+        false => (front, side),
+    })
+}
+
+fn belongs(seen: &Seen, front: f64, side: i8) -> bool {
+    seen.inverse >= front && seen.patch.facing * side >= 0
+}
+
+fn is_seen(inverse: f64, facing: i8, around: &Around) -> bool {
+    inverse >= around.front && facing * around.side >= 0
+}
+
+/// Which of four patches have a place between them that none of them covers.
+fn between(four: &[Option<Seen>; 4], place: DVec2, widen_px: f64, is_last: bool) -> [bool; 4] {
+    let distances = four.map(|seen| seen.map_or(f64::INFINITY, |seen| seen.distance));
+    let Some(by) = four.iter().flatten().min_by(|a, b| a.distance.total_cmp(&b.distance)) else {
+        return [false; 4];
+    };
+    // The nearest one's ellipse measures directions.
+    let widened = by.patch.spread + DMat2::from_diagonal(DVec2::splat(widen_px * widen_px));
+    let x = widened.x_axis.x.sqrt();
+    let lean = widened.x_axis.y / x;
+    let y = (widened.y_axis.y - lean * lean).max(1e-12).sqrt();
+    let direction = |seen: &Seen| {
+        let away = seen.patch.at_px - place;
+        let across = away.x / x;
+        DVec2::new(across, (away.y - lean * across) / y).normalize_or_zero()
+    };
+    let directions = four.map(|seen| seen.map(|seen| direction(&seen)));
+    let near = distances.map(|distance| distance <= BETWEEN);
+    let is_opposite = (0..4).any(|i| {
+        (0..i).any(|j| match (directions[i], directions[j]) {
+            (Some(a), Some(b)) => near[i] && near[j] && a.dot(b) < OPPOSITE,
+            _ => false,
+        })
+    });
+    let all_four = is_last && distances.iter().all(|distance| *distance <= BETWEEN_FOUR);
+    match (all_four, is_opposite) {
+        (true, _) => [true; 4],
+        (false, true) => near,
+        (false, false) => [false; 4],
+    }
+}
+
+/// The largest ellipses within the sides that clip lines keep of a disk: the centre relative to the disk's, and the axes.
+fn kept_part(clip: &Clip, width: f64, cutoff: f64, axes: [DVec3; 2]) -> (DVec3, [DVec3; 2]) {
+    let mut centre = DVec2::ZERO;
+    let mut part = DMat2::IDENTITY;
+    let lines: Vec<_> = clip.lines.iter().flatten().collect();
+    if !(clip.either && lines.len() == 2) {
+        for line in lines {
+            let normal = line.normal.as_dvec2();
+            let across = part.transpose() * normal;
+            let size = across.length().max(1e-6);
+            let n = across / size;
+            let offset = (f64::from(line.offset) / width - normal.dot(centre)) / size;
+            let begin = offset.clamp(-cutoff, cutoff * (1.0 - 2.0 * LEAST_KEPT));
+            centre += part * n * (0.5 * (begin + cutoff));
+            let shrunk = (cutoff - begin) / (2.0 * cutoff) - 1.0;
+            part += part * DMat2::from_cols(n * n.x, n * n.y) * shrunk;
+        }
+    }
+    let place = |at: DVec2| axes[0] * at.x + axes[1] * at.y;
+    (place(centre), [place(part.x_axis), place(part.y_axis)])
+}

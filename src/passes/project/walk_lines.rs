@@ -1,0 +1,15 @@
+//! Listed segments.
+
+use super::{band_constant, walk};
+use crate::gpu::shader::ShaderError;
+use crate::passes::recorder::{Call, Recorder};
+use crate::passes::shaders::Choices;
+
+pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
+    recorder.compute(Call {
+        choices: Choices { visibility: recorder.visibility(), ..Choices::default() },
+        constants: vec![band_constant(recorder)],
+        segments: &[recorder.segment],
+        launch: walk(recorder),
+    })
+}

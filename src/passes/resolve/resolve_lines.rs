@@ -1,0 +1,21 @@
+//! Pixels that show a line.
+
+use super::{choices, constants, light_constants, tiles};
+use crate::bake::pack::GeometryKind;
+use crate::gpu::shader::ShaderError;
+use crate::passes::recorder::{Call, Recorder};
+
+pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
+    let segments = recorder.segments(&[GeometryKind::Lines]);
+    let mut constants = constants(recorder);
+    // Thin lines are lit here even where a later pass lights everything else.
+    if choices(recorder).kept && recorder.task.plan.lights_pixels {
+        constants.extend(light_constants(recorder.scene.looks, recorder.scene.light_count));
+    }
+    recorder.compute(Call {
+        choices: choices(recorder),
+        constants,
+        segments: &segments,
+        launch: tiles(recorder),
+    })
+}

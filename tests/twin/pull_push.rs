@@ -1,0 +1,210 @@
+//! Compares pull-push reconstruction with the oracle's, which takes the same steps in f64, and with rays that meet true surfaces.
+//!
+//! Patches are stored in half precision, and rounding decides at their rims. Frames are therefore judged as splats are: by their
+//! signal-to-noise ratio, and by holes and leaks within a pixel of the oracle's outline.
+
+use glam::{DVec3, Vec3};
+use pointillist::math::View;
+use pointillist::oracle::{self, OracleFrame, OracleScene};
+use pointillist::plan::{Lod, MaxError, Pass, Reconstruct, Reconstruction, Settings};
+use pointillist::scene::PullPushWeights;
+use serde_json::json;
+
+use super::files::Shape;
+use super::orthographic;
+use super::splats::{ball, case, cube, difference};
+use super::stage::{Case, Frames, look};
+
+const PULL_PUSH: Reconstruct = Reconstruct::PullPush;
+
+/// The oracle's frame with the same settings.
+fn twin(case: &Case, view: &View, settings: &Settings) -> OracleFrame {
+    let splats = case.reference.description().splats;
+    let reconstruction = Reconstruction::new(settings, &splats);
+    let pull_push = reconstruction.pull_push().copied();
+    oracle::render(&OracleScene { pull_push, ..case.reference.scene() }, view, 1)
+}
+
+/// Draws a frame with and without 64-bit atomics, whose images must be equal, and compares it with the oracle's.
+fn check(case: &Case, view: &View, settings: Settings, least: f64) -> Frames {
+    let frames = case.draw_with(view, settings);
+    for pass in [Pass::RecordSamples, Pass::Pull, Pass::Push, Pass::ResolvePulled] {
+        assert!(frames.ran(pass), "{}: {pass:?}", case.id);
+    }
+    let found = difference(&twin(case, view, &settings), &frames);
+    println!("{} {settings:?}: {found:?}", case.id);
+    let rim = (found.covered / 200).max(8);
+    let fits = found.psnr >= least
+        && found.normal_psnr >= 28.0
+        && found.depth_p99 < 5e-3
+        && found.ids <= rim as usize
+        && found.holes <= rim
+        && found.leaks <= rim;
+    assert!(fits, "{} {settings:?}: {found:?}, least {least}", case.id);
+    frames
+}
+
+fn pull_push() -> Settings {
+    Settings::drawn_as(PULL_PUSH)
+}
+
+#[test]
+fn gaps_are_filled_as_the_oracle_fills_them() {
+    let lights = json!({ "lights": [
+        { "kind": "sun", "direction": [1, -1, -0.5], "color": "#ffcc88" },
+        { "kind": "ambient", "intensity": 0.2 }
+    ] });
+    let case = case("pulled-ball", &ball(1500, 11), lights);
+    for view in [look([0.4, 1.0, 3.0], [0.0; 3], 45.0), look([0.2, 0.4, 1.35], [0.0; 3], 70.0)] {
+        for pull_push_weights in [PullPushWeights::Gaussian, PullPushWeights::Box] {
+            let frames = check(&case, &view, Settings { pull_push_weights, ..pull_push() }, 40.0);
+            let filled = frames.receipt.holes_filled.unwrap();
+            assert!(filled > 1000 && filled < frames.covered() as u64, "{filled}");
+        }
+    }
+    let parallel = orthographic::look([0.4, 1.0, 3.0], [0.0; 3], 2.4);
+    check(&case, &parallel, pull_push(), 40.0);
+}
+
+/// Instances that stretch and mirror, beside samples without normals and triangles before and behind them.
+#[test]
+fn filled_gaps_share_their_depth_with_everything_else() {
+    let mut cloud = ball(900, 14);
+    for normal in cloud.normals.iter_mut().step_by(7) {
+        *normal = Vec3::ZERO;
+    }
+    let scene = json!({
+        "assets": { "c": { "file": "c.ply" }, "t": { "file": "t.ply" } },
+        "nodes": [
+            { "asset": "c", "scale": [1, 0.4, 1.3], "rotate": [20, 30, 5] },
+            { "asset": "c", "scale": [-0.5, 0.5, 0.5], "translate": [1.1, 0.3, 0] },
+            { "asset": "t", "translate": [0, -0.2, 0] }
+        ]
+    });
+    let (u, v) = (DVec3::new(0.0, 0.0, 4.0), DVec3::new(4.0, 0.0, 0.0));
+    let floor = Shape::quad(DVec3::new(-2.0, 0.0, -2.0), u, v, 1.0);
+    let files = [("c.ply", cloud.ply()), ("t.ply", floor.ply())];
+    let case = Case::new("pulled-mixed", &files, &scene);
+    for eye in [[1.0, 1.2, 2.5], [-2.0, 0.4, 1.0]] {
+        let frames = check(&case, &look(eye, [0.3, 0.0, 0.0], 55.0), pull_push(), 34.0);
+        let ids = |id: u32| frames.id.iter().filter(|&&found| found == id).count();
+        assert!((1..=3).all(|id| ids(id) > 200), "{} {} {}", ids(1), ids(2), ids(3));
+    }
+}
+
+/// Disks that clip lines cut, of a solid with sharp edges.
+#[test]
+fn clip_lines_shorten_patches() {
+    let scene = json!({
+        "assets": { "box": { "file": "box.ply", "sample": { "spacing": 0.25 } } },
+        "nodes": [{ "asset": "box", "rotate": [0, 25, 0] }]
+    });
+    let case = Case::new("pulled-clips", &[("box.ply", cube().ply())], &scene);
+    check(&case, &look([2.4, 2.2, 3.4], [0.0; 3], 50.0), pull_push(), 34.0);
+}
+
+#[test]
+fn committed_scenes() {
+    for (scene, cameras) in
+        [("town", &["overview", "square", "street"][..]), ("part", &["front", "detail"][..])]
+    {
+        let case = Case::committed(scene);
+        for camera in cameras {
+            check(&case, &case.view(camera, 200, 150), pull_push(), 30.0);
+        }
+    }
+}
+
+/// Where the ray through a pixel meets a ball about the origin.
+fn meets(view: &View, pixel: usize, radius: f64) -> bool {
+    let (x, y) = (pixel % view.width as usize, pixel / view.width as usize);
+    let ray = view.ray(glam::DVec2::new(x as f64 + 0.5, y as f64 + 0.5));
+    let way = (view.view_from_world.transpose() * ray).normalize_or_zero();
+    let nearest = view.eye - way * view.eye.dot(way);
+    nearest.length() < radius
+}
+
+/// From samples in random places, a closed surface: pixels within the true outline are covered, and few beyond it.
+#[test]
+fn random_samples_of_a_ball_close() {
+    let (mut inner, mut holes, mut leaks) = (0, 0, 0);
+    for (count, seed) in [(1500, 21), (6000, 22), (25_000, 23)] {
+        let case = case(&format!("pulled-closed-{count}"), &ball(count, seed), json!({}));
+        for eye in [[0.4, 1.0, 3.0], [2.0, -0.7, 1.4], [-0.3, 0.2, 1.9]] {
+            let view = look(eye, [0.0; 3], 50.0);
+            let frames = case.draw_wide(&view, pull_push());
+            for (pixel, &id) in frames.id.iter().enumerate() {
+                let within = meets(&view, pixel, 0.985);
+                inner += u32::from(within);
+                holes += u32::from(within && id == 0);
+                leaks += u32::from(id != 0 && !meets(&view, pixel, 1.08));
+            }
+        }
+    }
+    println!("{holes} holes and {leaks} leaks of {inner} pixels");
+    assert!(inner > 60_000, "{inner}");
+    // A sample that is not the nearest in its pixel counts nowhere, so a pixel in 20,000 may stay open.
+    assert!(holes * 20_000 <= inner, "{holes} of {inner}");
+    assert!(leaks * 200 < inner, "{leaks} of {inner}");
+}
+
+/// Frames of odd sizes, with one sample, with none in view, and with a disk that is larger than the frame.
+#[test]
+fn pyramids_of_any_size() {
+    let lone = case("pulled-lone", &ball(1, 3), json!({ "splats": { "width": 1 } }));
+    let full = case("pulled-sizes", &ball(3000, 4), json!({}));
+    for (width, height) in [(1, 1), (1, 77), (333, 1), (129, 65), (64, 64)] {
+        let view = View { width, height, ..look([0.0, 0.0, 0.2], [1.0, 0.0, 0.0], 60.0) };
+        let frames = full.draw_with(&view, pull_push());
+        // A sample that is not the nearest in its pixel counts nowhere: of a single row, one pixel may stay open.
+        let open = (width * height) as usize - frames.covered();
+        assert!(open * 300 <= frames.id.len(), "{width} × {height}: {open}");
+        for (id, depth) in frames.id.iter().zip(&frames.depth) {
+            assert!(*id == 0 || depth.is_finite() && *depth > 0.0, "{width} × {height}: {depth}");
+        }
+        let away = View { width, height, ..look([0.0, 0.0, 9.0], [0.0, 0.0, 20.0], 60.0) };
+        assert_eq!(full.draw_with(&away, pull_push()).covered(), 0);
+        lone.draw_with(&view, pull_push());
+    }
+}
+
+/// Samples beyond the border of the image fill what they cover of it.
+#[test]
+fn disks_reach_into_the_image_from_beside_it() {
+    let case = case("pulled-border", &ball(700, 5), json!({}));
+    // From within, so that the surface goes on beyond every border.
+    for target in [[1.0, 0.2, 0.1], [0.1, 1.0, 0.3], [-0.4, 0.3, 1.0]] {
+        let view = look([0.1, 0.0, 0.05], target, 40.0);
+        let frames = case.draw_with(&view, pull_push());
+        let open = frames.id.len() - frames.covered();
+        assert!(open * 2000 <= frames.id.len(), "{open}");
+    }
+}
+
+#[test]
+fn point_trees_are_filled_too() {
+    for (scene, camera) in [("town", "overview"), ("town", "street"), ("relief", "front")] {
+        let case = Case::committed(scene);
+        let view = case.view(camera, 320, 240);
+        let full = case.draw_wide(&view, pull_push());
+        for px in [1.0, 4.0] {
+            let max_error_px = MaxError::new(px).unwrap();
+            let spt = Settings { lod: Lod::Spt, max_error_px, ..pull_push() };
+            let found = case.draw_wide(&view, spt);
+            let missing = full.id.iter().zip(&found.id).filter(|(a, b)| **a != 0 && **b == 0);
+            let missing = missing.count();
+            println!("{scene} {camera}, {px} px: {missing} of {} pixels missing", full.covered());
+            assert!(missing * 50 < full.covered(), "{scene} {camera}, {px} px: {missing}");
+        }
+    }
+}
+
+#[test]
+fn frames_repeat_to_the_bit() {
+    let case = case("pulled-repeats", &ball(4000, 16), json!({}));
+    let view = look([0.6, 1.0, 2.4], [0.0; 3], 50.0);
+    let first = case.draw_wide(&view, pull_push());
+    for _ in 0..3 {
+        assert!(first.same_pixels(&case.draw_wide(&view, pull_push())));
+    }
+}
