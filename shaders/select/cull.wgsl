@@ -20,9 +20,9 @@ const NOT_VISIBLE: u32 = 0xffffffffu;
 const NO_INSTANCE: u32 = 0xffffffffu;
 
 // Distance that splats extend beyond their centres, and lines beyond their axes; 0 for points and triangles.
-fn reach_of(chunk: Chunk, scale: f32) -> f32 {
+fn reach_of(chunk: Chunk, scale: f32, box: Box) -> f32 {
     if chunk.kind == SEGMENTS {
-        return line_reach(chunk, scale);
+        return line_reach(chunk, scale, box);
     }
     if chunk.kind != SAMPLES {
         return 0.0;
@@ -89,7 +89,7 @@ fn cull(@builtin(global_invocation_id) invocation: vec3<u32>) {
             let at = placed[frame.first_instance + entry.instance];
             let box = grid_box(at, chunk.origin, chunk.extent);
             let scale = stretch(at);
-            let reach = reach_of(chunk, scale);
+            let reach = reach_of(chunk, scale, box);
             if is_wanted(chunk, box, scale, reach) {
                 mine = rank;
                 rank++;

@@ -87,7 +87,7 @@ fn shown_parts(slot: Slot, chunk: Chunk) -> u32 {
     let whole = grid_box(at, chunk.origin, chunk.extent);
     let is_splats = SPLATS && chunk.kind == SAMPLES;
     let is_lines = chunk.kind == SEGMENTS;
-    let reach = select(select(0.0, splat_reach(chunk, stretch(at)), is_splats), line_reach(chunk, stretch(at)), is_lines);
+    let reach = select(select(0.0, splat_reach(chunk, stretch(at)), is_splats), line_reach(chunk, stretch(at), whole), is_lines);
     // A splat fills at least one pixel, and what is drawn of a node as points or as a disc reaches as far as its error.
     let is_node = chunk.kind == SAMPLES && chunk.node_base > 0.0 && (DISCS || !SPLATS);
     let node_px = select(0.0, frame.lod_scale * max(frame.focal_px.x, frame.focal_px.y), is_node);

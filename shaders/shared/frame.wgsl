@@ -83,6 +83,8 @@ struct Frame {
     // The scalar field that colours samples, among those of the scene.
     field: u32,
     field_count: u32,
+    // Least radius of lines in scene units, over the divisor.
+    line_radius: f32,
     clips: array<ClipBox, 8>,
 }
 

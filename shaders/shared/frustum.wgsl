@@ -163,9 +163,14 @@ fn splat_reach(chunk: Chunk, scale: f32) -> f32 {
     return max(reach, frame.disc_radius);
 }
 
+// Radius that lines in a box in camera space have at most, where they are as thin as the frame allows.
+fn least_line_radius(centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: vec3<f32>) -> f32 {
+    return frame.line_radius * divisor(max(centre.z + abs(x.z) + abs(y.z) + abs(z.z), 0.0));
+}
+
 // How far tubes and ribbons of a chunk may reach from their axes in camera space, of an instance's stretch.
-fn line_reach(chunk: Chunk, scale: f32) -> f32 {
-    return 1.001 * chunk.kernel_base * scale;
+fn line_reach(chunk: Chunk, scale: f32, box: Box) -> f32 {
+    return 1.001 * max(chunk.kernel_base * scale, least_line_radius(box.centre, box.x, box.y, box.z));
 }
 
 // Pixels that thin lines may be widened by in the image.

@@ -109,6 +109,7 @@ fn line_of(at: Placed, scale: f32, vertex_first: u32, index: u32) -> Line {
     line.b = grid_to_camera(at, b);
     line.ab = camera_of(at, vec3<f32>(b - a));
     line.radius = scale * vec2<f32>(bitcast<f32>(line_vertices[line.words.x + 4u]), bitcast<f32>(line_vertices[line.words.y + 4u]));
+    line.radius = max(line.radius, frame.line_radius * vec2<f32>(divisor(max(line.a.z, 0.0)), divisor(max(line.b.z, 0.0))));
     line.is_ribbon = line_vertices[line.words.x + 5u] != NO_NORMAL || line_vertices[line.words.y + 5u] != NO_NORMAL;
     if line.is_ribbon {
         line.side_a = side_of(at, line.words.x, line.radius.x);
@@ -205,6 +206,9 @@ fn strip_key(line: Line, strip: Strip, inner: f32, share: f32, z: f32) -> f32 {
     return f32(key >> 8u) * 5.9604645e-8;
 }
 
+// A strip that is all but a pixel wide is whole: rounding errors must leave no pixel out of it.
+const WHOLE: f32 = 1.0001;
+
 // Where a pixel's centre is on a strip that is thinner than a pixel there.
 fn meet_strip(line: Line, strip: Strip, pixel: vec2<f32>) -> LineHit {
     var hit: LineHit;
@@ -222,7 +226,7 @@ fn meet_strip(line: Line, strip: Strip, pixel: vec2<f32>) -> LineHit {
     let z = mix(strip.z.x, strip.z.y, inner);
     let width_px = mix(strip.width.x, strip.width.y, inner) / divisor(z);
     let share = mix(strip.share.x, strip.share.y, inner);
-    if width_px >= 1.0 || !(strip_key(line, strip, inner, share, z) < width_px) {
+    if width_px >= 1.0 || !(strip_key(line, strip, inner, share, z) < WHOLE * width_px) {
         return hit;
     }
     hit.z = z;

@@ -127,6 +127,7 @@ impl Reference {
             splats: None,
             pull_push: None,
             discs: None,
+            least_line_px: 0.0,
             recolor: None,
             clip: None,
             edl: None,

@@ -82,8 +82,7 @@ fn receipt(state: &EngineState, drawn: &Drawn) -> Receipt {
     let as_splats = runs(Pass::ProjectSplats) || runs(Pass::FuzzySplats);
     let samples = runs(Pass::ProjectSamples) || as_splats;
     let splats = |count: u32| as_splats.then_some(u64::from(count));
-    let applied = drawing.settings.applied();
-    let used = UsedSplats::of(&drawing.reconstruction);
+    let splats_used = UsedSplats::of(&drawing.reconstruction).filter(|_| counts.samples > 0);
     Receipt {
         request_id: job.request_id.as_str().to_owned(),
         scene: resolved.request.scene.clone(),
@@ -93,16 +92,16 @@ fn receipt(state: &EngineState, drawn: &Drawn) -> Receipt {
         views: drawn.views,
         camera: resolved.camera.clone(),
         settings: UsedSettings {
-            applied: applied.beside(&used),
+            applied: drawing.applied,
             provisional: resolved.provisional.clone(),
             asked: resolved.auto.map(|_| Reconstruct::Auto),
             because: resolved.auto.map(|choice| choice.because()),
             spacing_px: resolved.auto.and_then(|choice| choice.spacing_px),
             instead_because: drawing.instead_because,
             full_because: resolved.full_because.clone(),
-            splats: used,
+            splats: splats_used,
         },
-        accepted_px: applied.accepted_px(),
+        accepted_px: drawing.applied.accepted_px(),
         legend: drawing
             .recolor
             .and_then(|recolor| Legend::of(&recolor, &resolved.scene.info.fields)),

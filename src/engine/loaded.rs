@@ -172,7 +172,7 @@ pub fn build(
     let extent = model.extent();
     let info = describe(&model, &description, &extent.bounds, warnings);
     Ok(Loaded {
-        facts: facts(&model),
+        facts: facts(&model, &extent.bounds),
         model: Arc::new(model),
         extent,
         outline: OnceLock::new(),
@@ -192,11 +192,17 @@ pub fn build(
     })
 }
 
-fn facts(model: &SceneModel) -> SceneFacts {
+/// Lines are sparse where their area is below this share of the largest face of the scene's bounds.
+const SPARSE_LINES: f64 = 0.25;
+
+fn facts(model: &SceneModel, bounds: &Bounds) -> SceneFacts {
+    let size = if bounds.is_empty() { DVec3::ZERO } else { bounds.max - bounds.min };
+    let face = (size.x * size.y).max(size.y * size.z).max(size.z * size.x);
     SceneFacts {
         counts: model.counts(),
         has_normals: model.assets.iter().any(|asset| asset.has_normals),
         lights: model.lights.len() as u32,
+        sparse_lines: model.line_area() < SPARSE_LINES * face,
         trees: false,
     }
 }

@@ -293,6 +293,7 @@ impl Renderer {
             recolor: drawing.recolor,
             clip: drawing.clip,
             edl: drawing.settings.eye_dome(),
+            least_line_px: drawing.settings.least_line_px(),
             background: drawing.background(&first.frame.model),
             entry_capacity: self.scratch.entry_capacity(),
         }

@@ -14,13 +14,12 @@ use super::resolved::{Drawing, ResolvedFrame};
 use super::state::{Adapter, EngineState};
 use super::viewpoint::{clip_region, pose};
 use super::{EngineError, FrameRequest};
-use crate::encode::{self, EncodeError};
+use crate::encode::{self, EncodeError, ImageFormat};
 use crate::math::View;
 use crate::passes::{LAYERS_BYTES, Levels, PATCH_BYTES, Slabs};
 use crate::plan::auto::{self, Choice};
 use crate::plan::{
-    AdapterFacts, ColorBy, Edl, FrameFacts, Output, Reconstruct, Reconstruction, SceneFacts,
-    Settings, Wait, plan,
+    AdapterFacts, ColorBy, Edl, Output, Reconstruct, Reconstruction, SceneFacts, Settings, Wait,
 };
 use crate::residency::model::SceneModel;
 use crate::scene::clipping::ClipRegion;
@@ -269,7 +268,8 @@ fn choose_reconstruction(
     let asked = request.settings;
     let decided = auto.map_or(asked, |choice| asked.decided(choice.reconstruct));
     let settings = Settings { projection: Some(view.projection), ..decided }
-        .with_edl_decided(facts, request.output);
+        .with_edl_decided(facts, request.output)
+        .with_line_width_decided(facts);
     let settings = match (&provisional, &grounds) {
         // Until there are kernels, discs close what splats will.
         (Some(_), Some(grounds)) => {
@@ -299,19 +299,13 @@ fn decide(
             rasterises: adapter.rasterises,
             draws_hidden: state.config.draw_hidden,
         };
-        let recolor = settings.recolor(loaded.up(), || loaded.heights(), &loaded.info.fields);
-        Drawing::new(
-            settings,
-            &loaded.model.splats,
-            recolor,
-            clip,
-            instead_because,
-            |reconstruction| {
-                let edl = settings.eye_dome();
-                let frame = FrameFacts { output: request.output, reconstruction, edl };
-                plan(&facts, &frame, &adapter)
-            },
-        )
+        let reconstruction = Reconstruction::new(settings, &loaded.model.splats);
+        let recolor = |settings: &Settings| {
+            settings.recolor(loaded.up(), || loaded.heights(), &loaded.info.fields)
+        };
+        let facts = (&facts, &adapter);
+        let drawing = Drawing::new(settings, reconstruction, facts, request.output, recolor, clip);
+        Drawing { instead_because, ..drawing }
     };
     let reconstruction = Reconstruction::new(&settings, &loaded.model.splats);
     let other = match reconstruction.pull_push() {
@@ -336,12 +330,8 @@ fn decide(
     let in_three_passes = (fuzzy.is_some() && refused.is_none()).then(|| {
         way(&other, Some("more splats lie over one pixel than a single pass has room for"))
     });
-    let tagged = Tagged {
-        settings: &settings,
-        auto: auto.as_ref(),
-        drawing: &drawing,
-        is_provisional: provisional.is_some(),
-    };
+    let tagged =
+        Tagged { auto: auto.as_ref(), drawing: &drawing, is_provisional: provisional.is_some() };
     let key = entity_tag(loaded, &request, &tagged, &view, &adapter);
     let cost_key = cost_key(&request, &settings);
     Arc::new(ResolvedFrame {
@@ -445,7 +435,6 @@ fn no_pyramid(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str>
 
 /// Inputs of an entity tag besides the scene, the request and the view.
 struct Tagged<'a> {
-    settings: &'a Settings,
     auto: Option<&'a Choice>,
     drawing: &'a Drawing,
     is_provisional: bool,
@@ -456,21 +445,22 @@ struct Tagged<'a> {
 fn entity_tag(
     loaded: &Loaded,
     request: &FrameRequest,
-    Tagged { settings, auto, drawing, is_provisional }: &Tagged<'_>,
+    Tagged { auto, drawing, is_provisional }: &Tagged<'_>,
     view: &View,
     adapter: &Adapter,
 ) -> String {
     let mut hasher = Sha256::new();
     hasher.update(&adapter.renderer);
     hasher.update(&adapter.name);
+    let is_jpeg = request.format == ImageFormat::Jpeg;
     hasher.update([
         u8::from(adapter.atomics_64),
-        request.quality,
+        if is_jpeg { request.quality } else { 0 },
         request.format as u8,
         request.output as u8,
     ]);
     // The rest of what the scene says of splats is in its digest.
-    hasher.update(settings.settled(&drawing.reconstruction).canonical());
+    hasher.update(drawing.applied.bytes());
     if *is_provisional {
         hasher.update(b"provisional");
     }

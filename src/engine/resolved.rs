@@ -15,9 +15,11 @@ use super::queue::cost::CostKey;
 use super::receipt::CameraReceipt;
 use crate::math::View;
 use crate::plan::auto::Choice;
-use crate::plan::{Background, FramePlan, Reconstruction, Settings};
+use crate::plan::{
+    AdapterFacts, Background, FrameFacts, FramePlan, Given, Output, Reconstruction, SceneFacts,
+    Settings, plan,
+};
 use crate::residency::model::{Extent, SceneModel};
-use crate::scene::Splats;
 use crate::scene::clipping::ClipRegion;
 use crate::scene::recolor::Recolor;
 
@@ -52,7 +54,9 @@ pub struct ResolvedFrame {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Drawing {
     pub plan: FramePlan,
-    /// Canonical form of the settings, with what the scene adds to them.
+    /// Settings that affect the frame, with what the scene adds to them.
+    pub applied: Given,
+    /// The same with defaults for all others, so that frames that are drawn alike have equal settings.
     pub settings: Settings,
     /// Reason for not drawing as requested.
     pub instead_because: Option<&'static str>,
@@ -90,23 +94,26 @@ impl ResolvedFrame {
 }
 
 impl Drawing {
-    /// `scene`: what the scene says of splats.
+    /// Decides how an output of a scene is drawn. `reconstruction` and `settings` belong together; `recolor` finds the value that colours
+    /// surfaces.
     pub fn new(
         settings: &Settings,
-        scene: &Splats,
-        recolor: Option<Recolor>,
+        reconstruction: Reconstruction,
+        (scene, adapter): (&SceneFacts, &AdapterFacts),
+        output: Output,
+        recolor: impl FnOnce(&Settings) -> Option<Recolor>,
         clip: Option<ClipRegion>,
-        instead_because: Option<&'static str>,
-        plan: impl FnOnce(Reconstruction) -> FramePlan,
     ) -> Drawing {
-        let reconstruction = Reconstruction::new(settings, scene);
-        let settings = settings.settled(&reconstruction).effective();
+        let applied = settings.settled(&reconstruction).affecting(scene, output);
+        let settings = Settings::from(applied);
+        let frame = FrameFacts { output, reconstruction, edl: settings.eye_dome() };
         Drawing {
-            plan: plan(reconstruction),
+            applied,
             settings,
-            instead_because,
+            plan: plan(scene, &frame, adapter),
+            instead_because: None,
             reconstruction,
-            recolor,
+            recolor: recolor(&settings),
             clip,
         }
     }

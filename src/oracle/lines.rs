@@ -37,14 +37,21 @@ struct Met {
 }
 
 impl Seen {
-    fn new(item: &PreparedItem<'_>, lines: &Polylines, view: &View, vertex: u32) -> Option<Seen> {
+    fn new(
+        item: &PreparedItem<'_>,
+        lines: &Polylines,
+        (view, width_px): (&View, f64),
+        vertex: u32,
+    ) -> Option<Seen> {
         let ends = [vertex as usize, vertex as usize + 1];
         let [a, b] = ends.map(|v| lines.positions.get(v).and_then(|&p| item.to_view(p)));
         let (a, b) = (a?, b?);
         let stretch = item.greatest_stretch();
-        let radius =
+        let own =
             |v: usize| lines.radii.as_ref().map_or(0.0, |radii| f64::from(radii[v])) * stretch;
-        let radii = ends.map(radius);
+        let focal = (view.focal_px.x * view.focal_px.y).sqrt();
+        let least = |p: DVec3| 0.5 * width_px * view.divisor((-p.z).max(0.0)) / focal;
+        let radii = [own(ends[0]).max(least(a)), own(ends[1]).max(least(b))];
         let Some(normals) = &lines.normals else {
             return Some(Seen::Tube(Tube { ends: [a, b], radii }));
         };
@@ -116,8 +123,9 @@ pub fn add(
     frame: &mut [Option<Hit>],
     (number, item, lines): (u32, &PreparedItem<'_>, &Polylines),
 ) {
+    let width_px = prepared.scene.least_line_px;
     let seen = |vertex: u32| {
-        let seen = Seen::new(item, lines, view, vertex)?;
+        let seen = Seen::new(item, lines, (view, width_px), vertex)?;
         let pixels = seen.pixel_box(view)?;
         Some((vertex, seen, pixels))
     };
@@ -154,7 +162,7 @@ pub fn surface(
     let ray = pixel_ray(view, x, y);
     let material = overridden(item, &Material::default());
     let position = view.at_depth(ray, hit.depth);
-    let seen = Seen::new(item, lines, view, hit.index);
+    let seen = Seen::new(item, lines, (view, prepared.scene.least_line_px), hit.index);
     let met = seen.as_ref().and_then(|seen| seen.meet(view, ray));
     let (Some(seen), Some(met)) = (seen, met) else {
         // No hit comes from such a segment.

@@ -69,6 +69,8 @@ pub struct OracleScene<'a> {
     pub pull_push: Option<PullPush>,
     /// Discs that samples are drawn as where `splats` is `None`; `None` for points of one pixel.
     pub discs: Option<Discs>,
+    /// Least width of lines, in pixels.
+    pub least_line_px: f64,
     /// Value that colours surfaces in place of their own colours.
     pub recolor: Option<Recolor>,
     /// Region that the scene is clipped with.

@@ -51,6 +51,7 @@ pub fn scene<'a>(items: Vec<OracleItem<'a>>) -> OracleScene<'a> {
         splats: None,
         pull_push: None,
         discs: None,
+        least_line_px: 0.0,
         recolor: None,
         clip: None,
         edl: None,

@@ -52,6 +52,8 @@ pub struct FrameTask {
     pub clip: Option<ClipRegion>,
     /// Eye-dome lighting, where it is on.
     pub edl: Option<EyeDome>,
+    /// Least width of lines, in pixels.
+    pub least_line_px: f32,
     /// Linear RGB and straight alpha of pixels that show nothing.
     pub background: [f32; 4],
     /// Maximum number of entries that a frame of point trees may list.
@@ -225,7 +227,9 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         focus: focus as f32,
         field: field_of(task, scene).map_or(0, |(number, _)| number as u32),
         field_count: scene.fields.len() as u32,
-        padding: 0,
+        // A little less, so that lines of one pixel are strips, which take less time than tubes.
+        line_radius: 0.499_99 * task.least_line_px
+            / (view.focal_px.x * view.focal_px.y).sqrt() as f32,
         clips: task.clip.map_or_else(Default::default, |clip| clip_records(&clip, view)),
     }
 }

@@ -13,9 +13,9 @@ use serde::Serialize;
 
 pub use reconstruction::Reconstruction;
 pub use settings::{
-    Background, Choice, ColorBound, ColorBy, Edl, EdlRadius, EdlStrength, ErrorMode, Given, Lod,
-    MaxError, Output, PointSize, PointSizePx, Reconstruct, Rule, Setting, SettingError,
-    SettingKind, Settings, StillFrame, UsedSettings, UsedSplats, Wait, declared,
+    Background, Choice, ColorBound, ColorBy, Edl, EdlRadius, EdlStrength, ErrorMode, Given,
+    LineWidth, Lod, MaxError, Output, PointSize, PointSizePx, Reconstruct, Rule, Setting,
+    SettingError, SettingKind, Settings, StillFrame, UsedSettings, UsedSplats, Wait, declared,
 };
 
 pub(crate) use table::pass_table;
@@ -32,6 +32,8 @@ pub struct SceneFacts {
     /// Some file gives normals.
     pub has_normals: bool,
     pub lights: u32,
+    /// Its lines would cover little of an image that shows the whole scene.
+    pub sparse_lines: bool,
     /// Its assets are point trees, from which a frame takes the detail that it shows.
     pub trees: bool,
 }

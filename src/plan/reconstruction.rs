@@ -131,7 +131,6 @@ impl Reconstruction {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plan::UsedSplats;
     use crate::scene::Filter;
 
     const SCENE: Splats = Splats {
@@ -172,14 +171,5 @@ mod tests {
         assert!(three.fuzzy().is_none() && three.weighted().is_some() && three.blends());
         let opaque = method(Reconstruct::Splats);
         assert!(opaque.is_splats() && !opaque.blends() && !Reconstruction::Points.is_splats());
-    }
-
-    #[test]
-    fn receipts_name_a_blend_only_where_there_is_a_choice() {
-        let used = |method: Reconstruction| serde_json::to_value(UsedSplats::of(&method)).unwrap();
-        assert!(used(Reconstruction::Points).is_null());
-        assert_eq!(used(method(Reconstruct::Splats))["blend"], "opaque");
-        let fuzzy = used(method(Reconstruct::Fuzzy));
-        assert_eq!((&fuzzy["shading"], fuzzy.get("blend")), (&"splat".into(), None));
     }
 }

@@ -6,8 +6,8 @@
 //! - [`Settings`]: those that a frame is drawn with,
 //! - [`declared`]: their names, ranges, labels and rules, from which the viewer builds its controls and the docs their table.
 //!
-//! [`Given::resolve`] is the one place where settings are checked, and [`Settings::applied`] the one canonical form: entity tags, tags
-//! of films, cost estimates and receipts all use it, so a new setting cannot be missing in one of them.
+//! [`Given::resolve`] is the one place where settings are checked, and [`Settings::affecting`] the one canonical form: entity tags,
+//! coalescing and receipts all use it, so a new setting cannot be missing in one of them.
 
 use std::sync::LazyLock;
 
@@ -25,12 +25,13 @@ use declaration::Accepted;
 pub use declaration::{Choice, Rule, Setting, SettingError, SettingKind};
 pub use used::{UsedSettings, UsedSplats};
 pub use values::{
-    Background, ColorBound, ColorBy, Edl, EdlRadius, EdlStrength, ErrorMode, Lod, MaxError, Output,
-    PointSize, PointSizePx, Reconstruct, StillFrame, Wait,
+    Background, ColorBound, ColorBy, Edl, EdlRadius, EdlStrength, ErrorMode, LineWidth, Lod,
+    MaxError, Output, PointSize, PointSizePx, Reconstruct, StillFrame, Wait,
 };
 
 use crate::assets::fields::{CLASSIFICATION, INTENSITY, RETURN_NUMBER};
 use crate::math::Projection;
+use crate::plan::SceneFacts;
 use crate::scene::clipping::ClipBoxes;
 use crate::scene::recolor::ColorMap;
 use crate::scene::{Blend, Filter, PullPushWeights, Shading};
@@ -62,6 +63,7 @@ const FIELD: Rule = Rule::new("color_by", &["field"], "no field is named");
 const CLIPPED: Rule = Rule::new("clip_boxes", &[], "there are no clip boxes");
 /// Samples in the scene, or those of meshes whose detail is chosen.
 const SAMPLES: Rule = Rule::new("samples", &["some"], "");
+const SEGMENTS: Rule = Rule::new("segments", &["some"], "");
 const EDL: Rule = Rule::new("edl", &["on", "auto"], "eye-dome lighting is off");
 const SURELY_SPLATS: Rule = Rule::new("reconstruct", &["splats", "fuzzy"], "");
 const THREE_PASSES: Rule = Rule::new("reconstruct", &["splats"], "");
@@ -203,6 +205,11 @@ settings! {
     color_most: ColorBound => Option<ColorBound> {
         label: "Last colour at", kind: ColorBound::kind(), needs: [MAPPED], useful_with: [COLORS]
     }
+    /// Least width of lines, in pixels. With 0, thin lines have their true width: a pixel shows them with its probability. By default 1 in
+    /// scenes whose lines would cover little of the image, and 0 in others.
+    line_width_px: f64 => LineWidth {
+        label: "Line width", kind: LineWidth::kind(), needs: [], useful_with: [SEGMENTS]
+    }
     /// How samples are drawn. The receipt says what `auto` chose and why.
     reconstruct: Reconstruct => Reconstruct {
         label: "Samples as", kind: SettingKind::own::<Reconstruct>(), needs: [], useful_with: [SAMPLES]
@@ -299,6 +306,12 @@ fn words(settings: &impl Serialize) -> Map<String, Value> {
 }
 
 impl Given {
+    /// Bytes that differ for different settings, for hashes.
+    pub fn bytes(&self) -> Vec<u8> {
+        let pair = |(name, value): (&String, &Value)| format!("{name}={value};").into_bytes();
+        words(self).iter().flat_map(pair).collect()
+    }
+
     /// Takes a value that was written as text, as in a query.
     ///
     /// # Errors
@@ -326,16 +339,6 @@ impl Given {
             other => other.to_string(),
         };
         words(self).into_iter().map(|(name, value)| (name, text(value))).collect()
-    }
-
-    /// Removes the settings that `other` also names.
-    #[must_use]
-    pub fn beside(mut self, other: &impl Serialize) -> Given {
-        for name in words(other).keys().filter(|name| Given::NAMES.contains(&name.as_str())) {
-            // Nothing is wrong with `null`.
-            let _ = self.set(name, Value::Null);
-        }
-        self
     }
 
     fn has(&self, name: &str) -> bool {
@@ -388,6 +391,13 @@ impl Given {
     /// A value out of range, or a setting that does not go with another.
     pub fn resolve(&self) -> Result<Settings, SettingError> {
         self.check()?;
+        if let (Some(least), Some(most)) = (self.color_least, self.color_most)
+            && most.get() <= least.get()
+        {
+            let reason = format!("{} is not above color_least, {}", most.get(), least.get());
+            let accepted = Accepted::Values(format!("a value above {}", least.get()));
+            return Err(SettingError { setting: "color_most", reason, accepted });
+        }
         let settings = Settings::from(*self);
         let (given, used) = (words(self), words(&settings));
         for setting in declared() {
@@ -412,8 +422,8 @@ impl Given {
 }
 
 impl Settings {
-    /// The canonical form: every setting whose needs among the other settings are met. Frames with the same applied settings are the same. Those of
-    /// different ones may be: the output and the scene, which leave some settings without effect, are not asked.
+    /// Every setting whose needs among the other settings are met: the form in which jobs are stored. [`Settings::affecting`] also asks the
+    /// output and the scene.
     #[must_use]
     pub fn applied(&self) -> Given {
         let used = words(self);
@@ -429,10 +439,27 @@ impl Settings {
         given
     }
 
-    /// The canonical form as settings: a setting without a say in the frame has its default. Equal for frames that are drawn alike.
+    /// The canonical form: those applied settings that affect the pixels of an output of a scene. Receipts list them, and tags hash them.
+    /// `self` leaves nothing to `auto` or to the scene.
     #[must_use]
-    pub fn effective(&self) -> Settings {
-        Settings::from(self.applied())
+    pub fn affecting(&self, scene: &SceneFacts, output: Output) -> Given {
+        let some = |count: u64| if count > 0 { "some" } else { "none" };
+        let mut known = words(self);
+        known.insert("samples".to_owned(), some(scene.counts.samples).into());
+        known.insert("segments".to_owned(), some(scene.counts.segments).into());
+        known.insert("lights".to_owned(), some(scene.lights.into()).into());
+        known.insert("output".to_owned(), serde_json::json!(output));
+        let mut given = self.applied();
+        for setting in declared() {
+            // Rules of single values say what can be drawn at all.
+            let mut rules = setting.useful_with.iter().filter(|rule| rule.value.is_none());
+            let is_open = |rule: &Rule| known.get(rule.of).is_none_or(Value::is_null);
+            if !rules.all(|rule| is_open(rule) || rule.holds(&known)) {
+                // Nothing is wrong with `null`.
+                let _ = given.set(setting.name, Value::Null);
+            }
+        }
+        given
     }
 
     /// Bytes that are equal for frames that cost about the same: the canonical form with numbers rounded to powers of two, and without
@@ -447,14 +474,6 @@ impl Settings {
             other => format!("{name}={other};"),
         };
         words(&self.applied()).iter().flat_map(|word| rounded(word).into_bytes()).collect()
-    }
-
-    /// Bytes of the canonical form, for hashes.
-    pub fn canonical(&self) -> Vec<u8> {
-        words(&self.applied())
-            .iter()
-            .flat_map(|(name, value)| format!("{name}={value};").into_bytes())
-            .collect()
     }
 }
 

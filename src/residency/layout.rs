@@ -288,8 +288,7 @@ pub struct GpuFrame {
     pub focus: f32,
     pub field: u32,
     pub field_count: u32,
-    /// The boxes begin at a multiple of 16 bytes.
-    pub padding: u32,
+    pub line_radius: f32,
     pub clips: [GpuClipBox; MOST_BOXES],
 }
 
@@ -447,6 +446,7 @@ mod tests {
                     focus,
                     field,
                     field_count,
+                    line_radius,
                     clips
                 ),
             ],

@@ -1,6 +1,7 @@
 //! A scene as it is drawn: packed assets and the flat list of their instances, in host memory. From this the GPU can be
 //! filled at any time, after an eviction as after a lost device.
 
+use std::collections::HashMap;
 use std::sync::{Arc, OnceLock};
 
 use glam::{DAffine3, DMat3, DVec3};
@@ -167,6 +168,23 @@ impl SceneModel {
     /// Totals over all instances, added up once.
     pub fn counts(&self) -> Counts {
         *self.totals.get_or_init(|| self.instances.totals())
+    }
+
+    /// Area of its lines seen from the side, in square world units. Lengths and widths are those of the longest axis of an instance.
+    pub fn line_area(&self) -> f64 {
+        let mut areas = HashMap::new();
+        let area = |instance: &ModelInstance| {
+            let &ModelInstance { asset, geometry, world_from_geometry: world, .. } = instance;
+            let PackedGeometry::Lines(lines) = &self.assets[asset].packed.geometries[geometry]
+            else {
+                return 0.0;
+            };
+            let own = *areas.entry((asset, geometry)).or_insert_with(|| lines.area());
+            let axes = world.matrix3;
+            let [x, y, z] = [axes.x_axis, axes.y_axis, axes.z_axis].map(DVec3::length_squared);
+            own * x.max(y).max(z)
+        };
+        self.instances.iter().map(area).sum()
     }
 
     /// Where its samples are and how wide.

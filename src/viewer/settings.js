@@ -59,6 +59,7 @@ function facts() {
   for (const { name } of declared) found[name] = $(name).value || drawn[name];
   // With a level of detail, meshes have samples.
   found.samples = scene && (scene.samples || found.lod === 'spt') ? 'some' : 'none';
+  found.segments = scene?.segments ? 'some' : 'none';
   return found;
 }
 

@@ -9,13 +9,16 @@ changed, so that an unknown id does not hide it.
 import json
 import os
 import pathlib
+import time
 import uuid
 
+import requests
 import schemathesis
 from schemathesis.core.parameters import ParameterLocation
 
 # What the daemon under test answers to GET /v1/settings.
 SETTINGS = json.loads(pathlib.Path(os.environ["CONTRACT_SETTINGS"]).read_text())["settings"]
+ADDRESS = os.environ["CONTRACT_ADDRESS"]
 HAS_VIDEO = os.environ.get("CONTRACT_VIDEO") == "1"
 # Frames are small to keep the run short; the cases do not test frame size.
 MOST_PIXELS = 48
@@ -221,18 +224,29 @@ def follow_change(body):
         body["visible"] = True
 
 
+def spare(label):
+    """Makes a scene or a job that a case may delete, and returns its id. Deletions of those that other cases need get it instead."""
+    if label.split()[1].startswith("/v1/scenes"):
+        request = {"url": f"{ADDRESS}/v1/scenes", "params": {"name": "points.ply", "id": uuid.uuid4().hex}, "data": PLY}
+    else:
+        request = {"url": f"{ADDRESS}/v1/jobs", "json": {"scene": "grid", "path": "past", "w": 16, "h": 16}}
+    for _ in range(20):
+        answer = requests.post(**request, timeout=30)
+        if answer.status_code != 503:
+            break
+        # Full for now.
+        time.sleep(0.5)
+    answer.raise_for_status()
+    return str(answer.json()["id"])
+
+
 def known_ids(case, label):
     """Sets ids that exist, so that cases test more than unknown ids."""
     ids = case.path_parameters
     if "{id}" in label and label.split()[1].startswith("/v1/scenes"):
-        # Other cases need this scene, so no case may delete it.
-        if not label.startswith("DELETE"):
-            ids["id"] = "grid"
-        elif ids["id"] == "grid":
-            ids["id"] = "none"
+        ids["id"] = spare(label) if label.startswith("DELETE") else "grid"
     elif "{id}" in label:
-        # Other cases need this job, so no case may delete it.
-        ids["id"] = "999999999" if label.startswith("DELETE") else "1"
+        ids["id"] = spare(label) if label.startswith("DELETE") else "1"
     if "node" in ids:
         ids["node"] = "wall"
     if "name" in ids:
@@ -248,7 +262,7 @@ def map_case(context, case):
     if is_stateful:
         # Links lead to resources made by earlier cases, but also to those that all other cases need.
         if label.startswith("DELETE") and case.path_parameters.get("id") in ("grid", "1"):
-            case.path_parameters["id"] = "999999999"
+            case.path_parameters["id"] = spare(label)
         # Only the run's own scene has a path and cameras; uploaded scenes have none.
         parts = [part for part in (case.query, case.body) if isinstance(part, dict)]
         poses = [pose for part in parts for pose in part.get("poses") or [] if isinstance(pose, dict)]

@@ -116,6 +116,7 @@ def schemathesis(address, folder, options, rest):
         **os.environ,
         "SCHEMATHESIS_HOOKS": str(HERE / "hooks.py"),
         "CONTRACT_SETTINGS": str(settings),
+        "CONTRACT_ADDRESS": address,
         "PYTHONDONTWRITEBYTECODE": "1",
     }
     process = subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)

@@ -181,7 +181,9 @@ fn sheaves(studio: &Studio, places: &[[f64; 3]], radius: f64) {
     studio.load_json("sheaf", &scene);
 }
 
+/// With the true widths of the strands.
 fn look_at_sheaf(distance: f64, settings: Settings) -> FrameRequest {
+    let settings = Settings { line_width_px: 0.0.into(), ..settings };
     let eye = DVec3::new(0.8, 0.3, 0.5).normalize_or(DVec3::Z) * distance;
     let camera = Camera {
         eye,
@@ -210,6 +212,41 @@ fn far_strands_are_fewer_and_as_bright() {
         assert!(coarse.1 * saving < exact.1, "{} of {} at {distance}", coarse.1, exact.1);
         assert!((0.85..1.15).contains(&ratio), "{ratio} of the light at {distance}");
     }
+}
+
+/// The lines of a scene that would be lost as scattered pixels are a pixel wide. Dense bundles have the brightness of their true widths.
+#[test]
+fn lines_that_would_be_lost_are_a_pixel_wide() {
+    let studio = Studio::new();
+    let scene = json!({
+        "assets": { "cross": { "file": "cross.vtk" } },
+        "nodes": [{ "asset": "cross" }],
+        "cameras": { "front": { "eye": [0, 0.1, 4], "target": [0, 0, 0], "fov": 45 } },
+    });
+    let drawn = |name: &str, radii: &str, line_width_px: Option<f64>| {
+        studio.write("cross.vtk", CROSS.replace("0.1\n0.1\n0.1\n0.05\n0.05", radii));
+        studio.load_json(name, &scene);
+        let width = line_width_px.map_or_else(Default::default, Into::into);
+        let settings = Settings { line_width_px: width, ..Settings::drawn_as(Reconstruct::Points) };
+        let frame =
+            studio.frame(&FrameRequest { settings, output: Output::Id, ..front(name, 90, 80) });
+        let used = serde_json::to_value(&frame.receipt.settings).unwrap()["line_width_px"].clone();
+        let ids = super::studio::ids(&frame.bytes);
+        (ids.iter().filter(|&&id| id != 0).count(), used.as_f64().unwrap())
+    };
+    let thin = ["1e-4"; 5].join("\n");
+    let (pixels, used) = drawn("thin", &thin, None);
+    // Lines of 48 and 43 pixels, which cross.
+    assert_eq!(used, 1.0);
+    assert!((85..100).contains(&pixels), "{pixels}");
+    let (pixels, used) = drawn("true", &thin, Some(0.0));
+    assert_eq!(used, 0.0);
+    assert!(pixels < 5, "{pixels}");
+    let (pixels, used) = drawn("wide", &thin, Some(6.0));
+    assert_eq!(used, 6.0);
+    assert!((480..620).contains(&pixels), "{pixels}");
+    let (_, used) = drawn("thick", &["0.2"; 5].join("\n"), None);
+    assert_eq!(used, 0.0);
 }
 
 #[test]

@@ -43,10 +43,10 @@ fn ways() -> Vec<Settings> {
     list
 }
 
-/// Every way with every output. The shading of splats only affects colours.
+/// Every way, and pull-push, with every output. The shading of splats only affects colours.
 pub fn ways_and_outputs() -> Vec<(Settings, Output)> {
     let mut list = Vec::new();
-    for way in ways() {
+    for way in ways().into_iter().chain([Settings::drawn_as(Reconstruct::PullPush)]) {
         list.extend(OUTPUTS.map(|output| (way, output)));
         list.push((Settings { shading: Some(Shading::Splat), ..way }, Output::Color));
     }

@@ -6,9 +6,9 @@ use glam::DVec3;
 use pointillist::encode::ImageFormat;
 use pointillist::engine::{FrameRequest, NodePatch, Pose};
 use pointillist::math::{Camera, Lens};
-use pointillist::plan::Output;
+use pointillist::plan::{Given, Output};
 
-use super::studio::{Studio, front, same, sphere};
+use super::studio::{OUTPUTS, Studio, cloud_scene, front, same, sphere};
 
 fn camera() -> Camera {
     Camera {
@@ -40,7 +40,8 @@ fn every_parameter_changes_the_tag() {
         with(&|r| r.width = 129),
         with(&|r| r.height = 97),
         with(&|r| (r.width, r.height) = (96, 128)),
-        with(&|r| r.quality = 89),
+        with(&|r| r.format = ImageFormat::Jpeg),
+        with(&|r| (r.format, r.quality) = (ImageFormat::Jpeg, 89)),
         with(&|r| r.format = ImageFormat::Png),
         with(&|r| r.format = ImageFormat::Qoi),
         with(&|r| r.output = Output::Depth),
@@ -62,6 +63,66 @@ fn every_parameter_changes_the_tag() {
             panic!("equal tags:\n{request:?}\n{other:?}");
         }
     }
+}
+
+/// Tags and receipts ask the output and the scene, so that clients keep frames whose pixels cannot have changed.
+#[test]
+fn settings_without_effect_leave_the_tag_as_it_is() {
+    let studio = Studio::new();
+    studio.load_two();
+    studio.write("plain.ply", sphere(8));
+    studio.load_json("mesh", &cloud_scene("plain.ply"));
+    let with = |scene: &str, output, pairs: &[(&str, &str)]| {
+        let mut given = Given::default();
+        for (name, value) in pairs {
+            given.set_text(name, value).unwrap();
+        }
+        FrameRequest { settings: given.resolve().unwrap(), output, ..front(scene, 96, 96) }
+    };
+    // A scene, settings of which the last one is to be compared, and the outputs that show it.
+    let (color, all): (&[Output], &[Output]) = (&[Output::Color], &OUTPUTS);
+    let cases: &[(&str, &[(&str, &str)], &[Output])] = &[
+        ("cloud", &[("reconstruct", "points"), ("color_by", "height")], color),
+        ("cloud", &[("reconstruct", "points"), ("background", "#ff0000")], color),
+        ("cloud", &[("reconstruct", "points"), ("edl", "off")], color),
+        ("cloud", &[("reconstruct", "points"), ("edl", "on"), ("edl_strength", "3")], color),
+        ("cloud", &[("reconstruct", "points"), ("point_size_px", "5")], all),
+        ("cloud", &[("reconstruct", "splats")], all),
+        ("cloud", &[("reconstruct", "splats"), ("prefilter", "false")], all),
+        ("cloud", &[("reconstruct", "splats"), ("shading", "splat")], &[]),
+        ("solid", &[("reconstruct", "splats"), ("shading", "splat")], color),
+        ("solid", &[("reconstruct", "splats"), ("blend", "opaque"), ("shading", "splat")], &[]),
+        ("mesh", &[("reconstruct", "points"), ("color_by", "height")], color),
+        ("mesh", &[("reconstruct", "splats"), ("filter", "affine")], &[]),
+        ("mesh", &[("reconstruct", "pull_push"), ("pull_push_weights", "box")], &[]),
+    ];
+    for &(scene, pairs, shown) in cases {
+        let (last, first) = pairs.split_last().unwrap();
+        for output in OUTPUTS {
+            let [without, with] = [first, pairs].map(|pairs| with(scene, output, pairs));
+            let case = format!("{scene} {pairs:?} {output:?}");
+            let [before, after] = [&without, &with].map(|one| studio.engine.etag(one).unwrap());
+            assert_eq!(before != after, shown.contains(&output), "{case}");
+            let [before, after] = [&without, &with].map(|one| studio.frame(one));
+            let named = serde_json::to_value(&after.receipt.settings).unwrap();
+            assert_eq!(named.get(last.0).is_some(), shown.contains(&output), "{case}: {named}");
+            if !shown.contains(&output) {
+                same(&after.bytes, &before.bytes, &case);
+            }
+        }
+    }
+}
+
+#[test]
+fn quality_is_for_jpeg() {
+    let studio = Studio::new();
+    studio.load_two();
+    let tag = |format, quality| {
+        let request = FrameRequest { format, quality, ..front("cloud", 64, 64) };
+        studio.engine.etag(&request).unwrap()
+    };
+    assert_ne!(tag(ImageFormat::Jpeg, 80), tag(ImageFormat::Jpeg, 90));
+    assert_eq!(tag(ImageFormat::Png, 80), tag(ImageFormat::Png, 90));
 }
 
 #[test]

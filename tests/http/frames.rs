@@ -327,7 +327,7 @@ fn splats_and_their_receipt() {
     assert!(covered > 2000, "only {covered} pixels show the wall, which splats close");
     let receipt = splats.receipt();
     let defaults = json!({"edl": "off", "lod": "full", "projection": "perspective", "color_by": "colors", "reconstruct": "splats", "filter": "perspective", "prefilter": true,
-        "blend": "weighted", "shading": "deferred", "lowpass_px": 0.5, "cutoff": 2.0, "width": 1.0, "depth_offset": 1.0});
+        "blend": "weighted", "lowpass_px": 0.5, "cutoff": 2.0, "width": 1.0, "depth_offset": 1.0});
     assert_eq!(receipt["settings"], defaults);
     let drawn = |key: &str| receipt["splats"][key].as_u64().unwrap();
     assert_eq!(drawn("scattered") + drawn("rasterised"), 64 * 64, "{receipt}");
@@ -343,7 +343,8 @@ fn splats_and_their_receipt() {
     let settings = &client.get(&splats_of("grid", asked)).receipt()["settings"];
     assert_eq!(
         [&settings["filter"], &settings["prefilter"], &settings["blend"], &settings["shading"]],
-        [&json!("affine"), &json!(false), &json!("opaque"), &json!("splat")]
+        [&json!("affine"), &json!(false), &json!("opaque"), &Value::Null],
+        "opaque splats are not lit in two ways"
     );
     let settings = &client.get(&splats_of("opaque", "&prefilter=true")).receipt()["settings"];
     assert_eq!(
@@ -355,7 +356,7 @@ fn splats_and_their_receipt() {
     let fuzzy = FRAME.to_owned() + "&reconstruct=fuzzy";
     let receipt = client.get(&fuzzy).receipt();
     let expected = json!({"edl": "off", "lod": "full", "projection": "perspective", "color_by": "colors", "reconstruct": "fuzzy", "filter": "perspective", "prefilter": true,
-        "shading": "splat", "lowpass_px": 0.5, "cutoff": 2.0, "width": 1.0, "depth_offset": 1.0});
+        "lowpass_px": 0.5, "cutoff": 2.0, "width": 1.0, "depth_offset": 1.0});
     assert_eq!(receipt["settings"], expected);
     assert_eq!(receipt["splats"]["scattered"], 64 * 64);
     let settings = &client.get(&(fuzzy + "&output=normal")).receipt()["settings"];

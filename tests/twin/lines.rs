@@ -4,6 +4,7 @@ use std::fmt::Write;
 
 use glam::DVec3;
 use pointillist::math::View;
+use pointillist::oracle::{self, OracleScene};
 use pointillist::plan::{Pass, Reconstruct, Settings};
 use pointillist::scene::color::linear_from_srgb;
 use pointillist::scene::random::SplitMix64;
@@ -261,6 +262,34 @@ fn thin_lines_have_the_brightness_of_their_width() {
             let ratio = found / exact;
             println!("{name}, {width_px} px: {ratio:.3} of the true brightness");
             assert!((0.9..1.1).contains(&ratio), "{name} {width_px}: {ratio}");
+        }
+    }
+}
+
+/// Lines of no width of their own are as wide as a frame asks, near and far.
+#[test]
+fn lines_are_no_thinner_than_asked() {
+    let case = case("tubes-least", &scattered(12, [0.0, 0.02], 61));
+    let views =
+        [look([0.0, 0.4, 4.0], [0.0; 3], 45.0), orthographic::look([3.0, 1.0, 2.0], [0.0; 3], 3.0)];
+    for view in views {
+        for px in [1.0, 3.0, 12.0] {
+            let settings =
+                Settings { line_width_px: px.into(), ..Settings::drawn_as(Reconstruct::Points) };
+            let frames = case.draw_with(&view, settings);
+            let scene = OracleScene { least_line_px: px, ..case.reference.scene() };
+            let twin = oracle::render(&scene, &view, 1);
+            let colors = twin.to_rgba8();
+            let differs = |i: &usize| {
+                let like = |c: usize| frames.color[*i][c].abs_diff(colors[*i][c]) <= 6;
+                frames.id[*i] != twin.id[*i] || !(0..4).all(like)
+            };
+            let differ = (0..colors.len()).filter(differs).count();
+            let covered = twin.id.iter().filter(|&&id| id != 0).count();
+            println!("{px} px: {differ} of {covered} covered pixels differ");
+            // Strips of one pixel have square ends where tubes have round ones, and the columns of their own direction.
+            let share = if px == 1.0 { 3 } else { 50 };
+            assert!(covered > 700 && differ * share < covered, "{px}: {differ} of {covered}");
         }
     }
 }

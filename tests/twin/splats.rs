@@ -118,7 +118,7 @@ fn every_filter_is_the_oracles() {
             for prefilter in [false, true] {
                 let settings = Settings { prefilter: Some(prefilter), ..splats(filter) };
                 let frames = check(&case, &view, settings, settings, 45.0);
-                assert_eq!(frames.receipt.settings.splats.unwrap().filter, filter);
+                assert_eq!(frames.receipt.settings.applied.filter, Some(filter));
             }
         }
     }

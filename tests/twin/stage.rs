@@ -10,7 +10,7 @@ use pointillist::assets::ReadOptions;
 use pointillist::encode::ImageFormat;
 use pointillist::engine::{Engine, EngineConfig, FrameRequest, NodePatch, Pose, Receipt};
 use pointillist::math::{Camera, Lens, View};
-use pointillist::plan::{Edl, Output, Pass, Reconstruct, Settings};
+use pointillist::plan::{Edl, LineWidth, Output, Pass, Reconstruct, Settings};
 use pointillist::scene::SceneLimits;
 use pointillist::scene::fields::SceneField;
 use serde_json::Value;
@@ -238,7 +238,10 @@ pub fn look(eye: [f64; 3], target: [f64; 3], fov_deg: f64) -> View {
 fn frames(engine: &Engine, scene: &str, view: &View, settings: Settings) -> Frames {
     // The oracle uses eye-dome lighting only if a test requests it.
     let edl = if settings.edl == Edl::Auto { Edl::Off } else { settings.edl };
-    let settings = Settings { edl, ..settings };
+    // It draws lines with their true widths, unless a test asks for others.
+    let is_open = settings.line_width_px == LineWidth::default();
+    let line_width_px = if is_open { 0.0.into() } else { settings.line_width_px };
+    let settings = Settings { edl, line_width_px, ..settings };
     // All four requests wait at the same time, so that they share a submission.
     let outputs = [Output::Color, Output::Depth, Output::Normal, Output::Id];
     let tickets = outputs.map(|output| {

@@ -26,6 +26,8 @@ const HASH_SHIFT: u32 = 22;
 
 /// Angle that counts for straight strands: segments of levels of detail are short as well.
 const LEAST_BEND: f64 = 0.25;
+/// Number of segments that an area is estimated from.
+const MEASURED: usize = 4096;
 
 /// Lines as the GPU holds them.
 #[derive(Clone, Debug)]
@@ -338,6 +340,20 @@ pub struct LineEnd {
 }
 
 impl PackedLines {
+    /// Area of the segments seen from the side, in square units, estimated from about [`MEASURED`] of them.
+    pub fn area(&self) -> f64 {
+        let every = self.segments.len().div_ceil(MEASURED).max(1);
+        let of_chunk = |chunk: &PackedChunk| {
+            let ends = chunk.elements().step_by(every).filter_map(|i| self.ends(chunk, i));
+            let area =
+                |[a, b]: [LineEnd; 2]| (b.position - a.position).length() * (a.radius + b.radius);
+            let areas: Vec<f64> = ends.map(area).collect();
+            let mean = areas.iter().sum::<f64>() / areas.len().max(1) as f64;
+            mean * chunk.elements().len() as f64
+        };
+        self.chunks.iter().map(of_chunk).sum()
+    }
+
     /// Both ends of a segment of a chunk.
     pub fn ends(&self, chunk: &PackedChunk, segment: usize) -> Option<[LineEnd; 2]> {
         let [link, _] = *self.segments.get(segment)?;

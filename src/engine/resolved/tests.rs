@@ -2,19 +2,18 @@ use glam::{DAffine3, DVec3};
 
 use super::*;
 use crate::bake::pack::Counts;
-use crate::plan::{self, AdapterFacts, FrameFacts, Given, SceneFacts, SettingKind};
+use crate::plan::{self, AdapterFacts, Given, Output, SceneFacts, SettingKind};
+use crate::scene::Splats;
 
 fn drawing(settings: &Settings) -> Drawing {
-    let counts = Counts { samples: 1, chunks: 1, ..Counts::default() };
-    let facts = SceneFacts { counts, trees: true, ..Default::default() };
+    let counts = Counts { samples: 1, segments: 1, chunks: 1, ..Counts::default() };
+    let scene = SceneFacts { counts, lights: 1, trees: true, ..Default::default() };
     let adapter = AdapterFacts::default();
-    let recolor = settings.recolor(DVec3::Y, || [0.0, 1.0], &[]);
     let box_from_world = DAffine3::IDENTITY;
     let clip = settings.clip_boxes.map(|boxes| ClipRegion { boxes, box_from_world });
-    Drawing::new(settings, &Splats::default(), recolor, clip, None, |reconstruction| {
-        let frame = FrameFacts { reconstruction, ..FrameFacts::default() };
-        plan::plan(&facts, &frame, &adapter)
-    })
+    let recolor = |settings: &Settings| settings.recolor(DVec3::Y, || [0.0, 1.0], &[]);
+    let reconstruction = Reconstruction::new(settings, &Splats::default());
+    Drawing::new(settings, reconstruction, (&scene, &adapter), Output::Color, recolor, clip)
 }
 
 /// A task takes its settings from the first job of a group, whose members have equal drawings.

@@ -39,13 +39,16 @@ fn other_value(setting: &Setting) -> Given {
 /// Tags, cost estimates and receipts are made of the canonical form: a setting that is not in it would be lost in all of them.
 #[test]
 fn every_setting_has_a_say_in_the_canonical_form() {
+    let counts = Counts { samples: 1, segments: 1, ..Counts::default() };
+    let scene = SceneFacts { counts, lights: 1, ..SceneFacts::default() };
     for setting in declared() {
         let other = other_value(setting);
         let mut without = other;
         without.set(setting.name, Value::Null).unwrap();
         let [with, without] = [other, without].map(|given| given.resolve().unwrap());
         assert_ne!(with, without, "{}", setting.name);
-        assert_ne!(with.canonical(), without.canonical(), "{}", setting.name);
+        let bytes = |settings: &Settings| settings.affecting(&scene, Output::Color).bytes();
+        assert_ne!(bytes(&with), bytes(&without), "{}", setting.name);
         assert_eq!(Settings::from(with.applied()), with, "{}", setting.name);
         // In each notation the same.
         let json = serde_json::to_value(other).unwrap();
@@ -69,7 +72,8 @@ fn declarations_are_complete() {
             let Some(SettingKind::Choice { choices, .. }) = kind else {
                 // Any text will do.
                 let is_text = matches!(kind, Some(SettingKind::Text { .. }));
-                let is_fact = ["output", "samples", "lights", "fields"].contains(&rule.of);
+                let is_fact =
+                    ["output", "samples", "segments", "lights", "fields"].contains(&rule.of);
                 assert!(is_text || is_fact, "{}", rule.of);
                 assert!(!is_text || rule.is.is_empty(), "{}", rule.of);
                 continue;
@@ -122,6 +126,9 @@ fn what_does_not_go_together_is_refused() {
     for harmless in ["error_mode=unified", "color_by=colors", "lod=full&reconstruct=auto"] {
         assert_eq!(given(harmless).resolve().unwrap(), Settings::default());
     }
+    let upside_down = given("color_by=height&color_least=5&color_most=5").resolve().unwrap_err();
+    assert_eq!(upside_down.to_string(), "color_most: 5 is not above color_least, 5");
+    assert_eq!(upside_down.accepted(|_, _| String::new()), "a value above 5");
     let mut huge = given("lod=spt");
     huge.set("max_error_px", json!(1e300)).unwrap();
     assert_eq!(huge.resolve().unwrap_err().setting, "max_error_px");

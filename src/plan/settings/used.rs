@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::{Given, Reconstruct};
 use crate::plan::Reconstruction;
-use crate::scene::{Blend, Filter, Shading, Splats};
+use crate::scene::Splats;
 
 /// Settings as a frame was drawn with them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, utoipa::ToSchema)]
@@ -35,19 +35,11 @@ pub struct UsedSettings {
     pub splats: Option<UsedSplats>,
 }
 
-/// How samples were drawn as splats.
+/// What the scene says of its splats.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, utoipa::ToSchema)]
 #[schema(as = Splats)]
 pub struct UsedSplats {
-    pub filter: Filter,
-    /// Left out where `reconstruct=fuzzy` has its own way.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Blend, required = false)]
-    pub blend: Option<Blend>,
-    pub shading: Shading,
-    /// Whether kernels are convolved with a low-pass filter of the image (EWA).
-    pub prefilter: bool,
-    /// Standard deviation of that filter, in pixels.
+    /// Standard deviation of the low-pass filter, in pixels.
     pub lowpass_px: f32,
     /// Where kernels end, in their standard deviations.
     pub cutoff: f32,
@@ -63,18 +55,7 @@ impl UsedSplats {
         if reconstruction.pull_push().is_some() {
             return None;
         }
-        let &Splats { filter, blend, shading, prefilter, lowpass_px, cutoff, width, depth_offset } =
-            reconstruction.splats()?;
-        let blend = reconstruction.fuzzy().is_none().then_some(blend);
-        Some(UsedSplats {
-            filter,
-            blend,
-            shading,
-            prefilter,
-            lowpass_px,
-            cutoff,
-            width,
-            depth_offset,
-        })
+        let &Splats { lowpass_px, cutoff, width, depth_offset, .. } = reconstruction.splats()?;
+        Some(UsedSplats { lowpass_px, cutoff, width, depth_offset })
     }
 }

@@ -97,6 +97,18 @@ impl Settings {
         Settings { edl, ..*self }
     }
 
+    /// The settings with the least width of lines decided: lines that would be lost as scattered pixels are a pixel wide.
+    #[must_use]
+    pub fn with_line_width_decided(&self, scene: &SceneFacts) -> Settings {
+        let width = self.line_width_px.0.unwrap_or(LineWidthPx(f32::from(scene.sparse_lines)));
+        Settings { line_width_px: LineWidth(Some(width)), ..*self }
+    }
+
+    /// Least width of lines, in pixels.
+    pub fn least_line_px(&self) -> f32 {
+        self.line_width_px.0.unwrap_or_default().get()
+    }
+
     /// The settings with points that are no smaller than `px` pixels, where samples are drawn as points.
     #[must_use]
     pub fn with_point_size(&self, px: Option<f64>) -> Settings {
@@ -316,10 +328,34 @@ numbers! {
     PointSizePx: 1.0 to 256.0 "pixels", 1.0;
     /// Diameter of points in scene units.
     PointSize: 0.0 to 1e9 "scene units", 0.0;
+    /// Least width of lines, in pixels.
+    LineWidthPx: 0.0 to 64.0 "pixels", 0.0;
     /// Strength of eye-dome lighting: doubling it squares what is left of a pixel's light.
     EdlStrength: 0.0 to 10.0 "", 0.6;
     /// Distance of the neighbours that eye-dome lighting compares a pixel with, in pixels.
     EdlRadius: 1.0 to 16.0 "pixels", 1.4;
+}
+
+/// Least width of lines. Where there is none, the scene decides.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize)]
+#[serde(transparent)]
+pub struct LineWidth(Option<LineWidthPx>);
+
+impl LineWidth {
+    pub(super) fn kind() -> SettingKind {
+        match LineWidthPx::kind() {
+            SettingKind::Number { least, most, unit, .. } => {
+                SettingKind::Number { least, most, default: None, unit }
+            }
+            other => other,
+        }
+    }
+}
+
+impl From<f64> for LineWidth {
+    fn from(px: f64) -> Self {
+        LineWidth(Some(px.into()))
+    }
 }
 
 impl MaxError {
