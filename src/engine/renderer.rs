@@ -20,9 +20,11 @@ use crate::passes::{
     self, Context, FrameTask, PassSpan, Pipelines, SMALL_SPLAT_PX, SMALL_TRIANGLE_PX, Scratch,
     Uniforms,
 };
+use crate::plan::Pass;
 use crate::residency::layout::{GpuStats, MOST_VIEWS};
 use crate::residency::model::SceneModel;
 use crate::residency::{Residency, ResidencyError};
+use crate::scene::EyeDome;
 
 /// One adapter with its scenes.
 pub struct Renderer {
@@ -263,7 +265,8 @@ impl Renderer {
     /// Views of a job's scene that may be drawn together: what each needs of a buffer must fit it as often.
     fn most_views(&self, job: &FrameJob) -> usize {
         let Some(scene) = self.residency.scene(&job.frame.model.id) else { return 1 };
-        let size = (job.frame.request.width, job.frame.request.height);
+        let parts = job.drawing().settings.parts();
+        let size = (job.frame.request.width * parts, job.frame.request.height * parts);
         let largest = Scratch::largest(scene, size, &job.drawing().plan);
         let shared = if self.gpu.is_cpu { SHARED_BYTES_CPU } else { SHARED_BYTES };
         let room = self.gpu.max_binding_bytes().min(shared) / largest.max(1);
@@ -274,12 +277,15 @@ impl Renderer {
         // Groups are never empty.
         let first = &jobs[0];
         let drawing = first.drawing();
+        let parts = drawing.settings.parts();
+        let scale = parts as f32;
+        let edl = drawing.settings.eye_dome();
         FrameTask {
             model: first.frame.model.clone(),
-            views: jobs.iter().map(|job| job.frame.view).collect(),
+            views: jobs.iter().map(|job| job.frame.view.in_parts(parts)).collect(),
             output: first.frame.request.output,
             plan: drawing.plan.clone(),
-            reconstruction: drawing.reconstruction,
+            reconstruction: drawing.reconstruction.in_parts(scale),
             extent: first.frame.extent,
             small_splat_px: self.small_splat_px,
             weight_one: first.weight_one(),
@@ -287,13 +293,14 @@ impl Renderer {
             large_capacity: self.scratch.large_capacity(),
             walk_stride: self.scratch.walk_stride(),
             large_units_limit: self.large_units_limit,
-            accepted_px: drawing.settings.accepted_px(),
+            accepted_px: drawing.settings.accepted_px() * scale,
             error_mode: drawing.settings.error_mode,
             levels: drawing.settings.shows_levels(),
             recolor: drawing.recolor,
             clip: drawing.clip,
-            edl: drawing.settings.eye_dome(),
-            least_line_px: drawing.settings.least_line_px(),
+            edl: edl.map(|edl| EyeDome { radius_px: edl.radius_px * scale, ..edl }),
+            parts,
+            least_line_px: drawing.settings.least_line_px() * scale,
             background: drawing.background(&first.frame.model),
             entry_capacity: self.scratch.entry_capacity(),
         }
@@ -322,7 +329,7 @@ impl Renderer {
         };
         let spans = passes::record(&mut context, encoder, task, scene, offset)
             .map_err(|error| internal(error.to_string()))?;
-        let (width, height) = task.size();
+        let (width, height) = task.image_size();
         let pixel_bytes = match picks.len() {
             0 => u64::from(width) * u64::from(height) * 4,
             count => count as u64 * pick::BYTES,
@@ -341,7 +348,8 @@ impl Renderer {
             copy(identities, pixel * 8, start + 4, 8);
         }
         if picks.is_empty() {
-            copy(shown, 0, 0, pixels);
+            let image = if task.plan.runs(Pass::Average) { identities } else { shown };
+            copy(image, 0, 0, pixels);
         }
         copy(scratch.stats.buffer(), 0, pixels, stats);
         Ok((landing, pixel_bytes, spans))

@@ -100,8 +100,16 @@ pub fn frame_limits(state: &EngineState) -> (u64, u32) {
     )
 }
 
+/// Parts along each side of a pixel: colours alone are averaged.
+fn parts_of(request: &FrameRequest) -> u32 {
+    if request.output == Output::Color { request.settings.parts() } else { 1 }
+}
+
 fn check_size(state: &EngineState, request: &FrameRequest) -> Result<(), EngineError> {
-    let (max_pixels, max_side) = frame_limits(state);
+    let (mut max_pixels, mut max_side) = frame_limits(state);
+    let parts = parts_of(request);
+    max_pixels /= u64::from(parts * parts);
+    max_side /= parts;
     for (parameter, value) in [("w", request.width), ("h", request.height)] {
         if value == 0 {
             return Err(EngineError::BadParameter {
@@ -112,7 +120,12 @@ fn check_size(state: &EngineState, request: &FrameRequest) -> Result<(), EngineE
         }
         if value > max_side {
             return Err(EngineError::OverLimit {
-                what: if parameter == "w" { "pixels in w" } else { "pixels in h" },
+                what: match (parameter, parts) {
+                    ("w", 1) => "pixels in w",
+                    ("h", 1) => "pixels in h",
+                    ("w", _) => "pixels in w with antialiasing",
+                    _ => "pixels in h with antialiasing",
+                },
                 found: u64::from(value),
                 limit: u64::from(max_side),
             });
@@ -120,7 +133,9 @@ fn check_size(state: &EngineState, request: &FrameRequest) -> Result<(), EngineE
     }
     let found = u64::from(request.width) * u64::from(request.height);
     if found > max_pixels {
-        let what = if found > state.config.max_pixels {
+        let what = if parts > 1 {
+            "pixels with antialiasing"
+        } else if found > state.config.max_pixels {
             "pixels"
         } else {
             "pixels that this adapter binds at once, which no setting raises"
@@ -315,7 +330,9 @@ fn decide(
     let fuzzy = reconstruction.fuzzy().filter(|_| facts.counts.samples > 0);
     let fits = |splats| {
         let accepted_px = if facts.trees { settings.accepted_px() } else { 0.0 };
-        Slabs::new(splats, &loaded.extent, &view, accepted_px).fit()
+        let parts = parts_of(&request);
+        let view = view.in_parts(parts);
+        Slabs::new(splats, &loaded.extent, &view, accepted_px * parts as f32).fit()
     };
     let refused = fuzzy.and_then(|splats| {
         let too_deep = "the scene is too deep for the slabs of a single pass";
@@ -409,7 +426,8 @@ fn needed_output(request: &FrameRequest) -> Output {
 
 /// Why the frame cannot be drawn with `reconstruct=fuzzy`.
 fn no_fuzzy(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str> {
-    let pixels = u64::from(request.width) * u64::from(request.height);
+    let parts = u64::from(parts_of(request));
+    let pixels = u64::from(request.width) * u64::from(request.height) * parts * parts;
     if request.output != Output::Color {
         return Some("a single pass has nothing but colours");
     }
@@ -428,7 +446,9 @@ fn no_fuzzy(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str> {
 
 /// Why pull-push cannot draw a frame.
 fn no_pyramid(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str> {
-    let bytes = Levels::of((request.width, request.height)).pixels() * PATCH_BYTES;
+    let parts = parts_of(request);
+    let size = (request.width * parts, request.height * parts);
+    let bytes = Levels::of(size).pixels() * PATCH_BYTES;
     (bytes > adapter.max_binding_bytes)
         .then_some("the adapter cannot bind the pyramid of so many pixels; a smaller frame has one")
 }

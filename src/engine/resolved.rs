@@ -106,7 +106,8 @@ impl Drawing {
     ) -> Drawing {
         let applied = settings.settled(&reconstruction).affecting(scene, output);
         let settings = Settings::from(applied);
-        let frame = FrameFacts { output, reconstruction, edl: settings.eye_dome() };
+        let (edl, parts) = (settings.eye_dome(), settings.parts());
+        let frame = FrameFacts { output, reconstruction, edl, parts };
         Drawing {
             applied,
             settings,

@@ -280,6 +280,18 @@ impl Camera {
 }
 
 impl View {
+    /// The view as an image of so many times the pixels along each side.
+    #[must_use]
+    pub fn in_parts(&self, factor: u32) -> View {
+        View {
+            focal_px: self.focal_px * f64::from(factor),
+            principal_px: self.principal_px * f64::from(factor),
+            width: self.width * factor,
+            height: self.height * factor,
+            ..*self
+        }
+    }
+
     /// A view from column-major `view` (world → view, rigid) and `proj` (view → clip) matrices. Near and far planes are not used.
     ///
     /// # Errors

@@ -52,6 +52,8 @@ pub struct FrameTask {
     pub clip: Option<ClipRegion>,
     /// Eye-dome lighting, where it is on.
     pub edl: Option<EyeDome>,
+    /// Parts along each side of a pixel that are averaged. Views, and all lengths in pixels, are those of the parts.
+    pub parts: u32,
     /// Least width of lines, in pixels.
     pub least_line_px: f32,
     /// Linear RGB and straight alpha of pixels that show nothing.
@@ -90,6 +92,12 @@ pub fn output_number(output: Output) -> u32 {
 impl FrameTask {
     pub fn size(&self) -> (u32, u32) {
         self.views.first().map_or((0, 0), |view| (view.width, view.height))
+    }
+
+    /// Size of the images that leave the GPU.
+    pub fn image_size(&self) -> (u32, u32) {
+        let (width, height) = self.size();
+        (width / self.parts, height / self.parts)
     }
 
     /// Returns whether splats' normals and depths are blended too: pixels are lit afterwards, or an effect needs depths.

@@ -38,6 +38,8 @@ pub struct Grounds {
     pub has_samples: bool,
     /// Distance between neighbouring samples in pixels, as [`spacing_px`] tells; `None` where none is in view.
     pub spacing_px: Option<f64>,
+    /// Parts along each side of a pixel that are averaged.
+    pub parts: u32,
     /// Share of the picture that samples cover, as [`covered_share`] tells.
     pub covered: f64,
     /// Settings of splats are those of the scene, and no kernel has clip lines.
@@ -113,7 +115,9 @@ impl Choice {
 
 /// Chooses between points, splats and pull-push. Every frame with `reconstruct=auto` is decided here.
 pub fn choose(grounds: &Grounds) -> Choice {
-    let coarse = grounds.lod == Lod::Spt && f64::from(grounds.accepted_px) > COARSE_PX;
+    let parts = f64::from(grounds.parts);
+    let coarse = grounds.lod == Lod::Spt && parts * f64::from(grounds.accepted_px) > COARSE_PX;
+    // The look of a surface stays the same with antialiasing.
     let is_wide =
         |px: f64| px > WIDE_PX && grounds.covered >= WIDE_SHARE && grounds.are_splats_plain;
     let (reconstruct, reason) = match grounds.spacing_px {
@@ -121,7 +125,7 @@ pub fn choose(grounds: &Grounds) -> Choice {
         _ if grounds.has_point_size => (Reconstruct::Points, Reason::PointSize),
         _ if !grounds.has_kernels => (Reconstruct::Points, Reason::NoKernels),
         Some(px) if is_wide(px) => (Reconstruct::PullPush, Reason::Wide),
-        Some(px) if px > DENSE_PX => (Reconstruct::Splats, Reason::Sparse),
+        Some(px) if parts * px > DENSE_PX => (Reconstruct::Splats, Reason::Sparse),
         _ if coarse => (Reconstruct::Splats, Reason::Coarse { accepted_px: grounds.accepted_px }),
         Some(_) => (Reconstruct::Points, Reason::Dense),
         // Trees of meshes have all the samples that can be told apart.
@@ -227,6 +231,7 @@ mod tests {
             accepted_px: 1.0,
             has_kernels: true,
             has_point_size: false,
+            parts: 1,
         }
     }
 
@@ -290,6 +295,12 @@ mod tests {
         assert_eq!(drawn(&bare), (Reconstruct::Points, Reason::NoSamples));
         let early = Grounds { has_kernels: false, ..grounds(Some(9.0)) };
         assert_eq!(drawn(&early), (Reconstruct::Points, Reason::NoKernels));
+        // The parts of pixels are to be closed.
+        assert_eq!(
+            choose(&Grounds { parts: 2, ..grounds(Some(0.4)) }).reconstruct,
+            Reconstruct::Splats
+        );
+        assert_eq!(choose(&grounds(Some(0.4))).reconstruct, Reconstruct::Points);
         let sized = Grounds { has_point_size: true, ..grounds(Some(9.0)) };
         assert_eq!(drawn(&sized), (Reconstruct::Points, Reason::PointSize));
         let coarse = Grounds { lod: Lod::Spt, accepted_px: 4.0, ..grounds(Some(0.1)) };

@@ -13,8 +13,8 @@ use serde::Serialize;
 
 pub use reconstruction::Reconstruction;
 pub use settings::{
-    Background, Choice, ColorBound, ColorBy, Edl, EdlRadius, EdlStrength, ErrorMode, Given,
-    LineWidth, Lod, MaxError, Output, PointSize, PointSizePx, Reconstruct, Rule, Setting,
+    Antialias, Background, Choice, ColorBound, ColorBy, Edl, EdlRadius, EdlStrength, ErrorMode,
+    Given, LineWidth, Lod, MaxError, Output, PointSize, PointSizePx, Reconstruct, Rule, Setting,
     SettingError, SettingKind, Settings, StillFrame, UsedSettings, UsedSplats, Wait, declared,
 };
 
@@ -132,6 +132,8 @@ pub struct FrameFacts {
     pub reconstruction: Reconstruction,
     /// Eye-dome lighting, where it is on.
     pub edl: Option<EyeDome>,
+    /// Parts along each side of a pixel, for antialiasing; 0 and 1 mean one.
+    pub parts: u32,
 }
 
 /// One line of a plan.
@@ -314,7 +316,7 @@ mod tests {
         let mut plans = Vec::new();
         for (scene, adapter, reconstruction) in iproduct(scenes, adapters, methods) {
             for (output, edl, picked) in iproduct(outputs, [None, Some(effect)], sides) {
-                let frame = FrameFacts { output, reconstruction, edl };
+                let frame = FrameFacts { output, reconstruction, edl, parts: 1 };
                 let plan = super::plan(&scene, &frame, &adapter);
                 plans.push(if picked { plan.with_identities() } else { plan });
             }

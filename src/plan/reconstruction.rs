@@ -69,6 +69,18 @@ impl Reconstruction {
         }
     }
 
+    /// The method for an image whose pixels are smaller by a factor.
+    #[must_use]
+    pub fn in_parts(self, factor: f32) -> Reconstruction {
+        match self {
+            Reconstruction::Discs(discs) => {
+                let diameter_px = discs.diameter_px * factor;
+                Reconstruction::Discs(Discs { diameter_px, ..discs })
+            }
+            other => other,
+        }
+    }
+
     /// The discs that samples are drawn as.
     pub fn discs(&self) -> Option<&Discs> {
         match self {

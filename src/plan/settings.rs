@@ -25,8 +25,8 @@ use declaration::Accepted;
 pub use declaration::{Choice, Rule, Setting, SettingError, SettingKind};
 pub use used::{UsedSettings, UsedSplats};
 pub use values::{
-    Background, ColorBound, ColorBy, Edl, EdlRadius, EdlStrength, ErrorMode, LineWidth, Lod,
-    MaxError, Output, PointSize, PointSizePx, Reconstruct, StillFrame, Wait,
+    Antialias, Background, ColorBound, ColorBy, Edl, EdlRadius, EdlStrength, ErrorMode, LineWidth,
+    Lod, MaxError, Output, PointSize, PointSizePx, Reconstruct, StillFrame, Wait,
 };
 
 use crate::assets::fields::{CLASSIFICATION, INTENSITY, RETURN_NUMBER};
@@ -255,6 +255,10 @@ settings! {
     /// Distance of the neighbours that eye-dome lighting compares a pixel with, in pixels.
     edl_radius_px: f64 => EdlRadius {
         label: "Radius", kind: EdlRadius::kind(), needs: [EDL], useful_with: [COLORS]
+    }
+    /// Antialiasing: pixels are means of their parts, in linear light. A frame of 4 parts takes up to four times as long.
+    antialias: Antialias => Antialias {
+        label: "Antialiasing", kind: SettingKind::own::<Antialias>(), needs: [], useful_with: [COLORS]
     }
     /// Colour of pixels that show nothing; the scene's value by default. JPEG and video cannot store transparency and show black.
     background: Background => Option<Background> {

@@ -63,6 +63,7 @@ macro_rules! pass_table {
             ResolveTriangles     Compute resolve/resolve_triangles     ""    [Resolve]           Frame     [NO_TRIANGLES];
             ResolveLines         Compute resolve/resolve_lines         ""    [Resolve]           Frame     [NO_LINES];
             WriteOutput          Compute resolve/write_output          ""    [Resolve]           Frame     [NOT_COLOR NO_EFFECT];
+            Average              Compute resolve/average               ""    [Resolve]           Frame     [NOT_AVERAGED];
             Identify             Compute resolve/identify              ""    [Resolve]           Frame     [NOT_PICKED];
         }
     };
@@ -179,6 +180,7 @@ reasons! {
     BLENDED: "splats are blended", |f| f.scene.has(GeometryKind::Samples) && f.frame.reconstruction.blends();
     NO_EFFECT: "no effect reads neighbouring pixels", |f| f.frame.edl.is_none();
     NOT_COLOR: "the output is not color", |f| f.frame.output != super::Output::Color;
+    NOT_AVERAGED: "pixels have one part", |f| f.frame.parts < 2;
     IDS: "the output is id", |f| f.frame.output == super::Output::Id;
     // `FramePlan::with_identities` makes it run.
     NOT_PICKED: "no pixel is picked", |_| true;

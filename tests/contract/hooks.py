@@ -145,6 +145,16 @@ def follow_needs(params):
             params[name] = next(setting["examples"][0] for setting in SETTINGS if setting["name"] == name)
 
 
+def follow_color_bounds(params):
+    """Leaves the largest value out where it is not above the least one."""
+    try:
+        is_above = float(params["color_most"]) > float(params["color_least"])
+    except (KeyError, TypeError, ValueError):
+        return
+    if not is_above:
+        del params["color_most"]
+
+
 def follow_settings(params):
     """Gives settings what they need beside them, and what this run's scene has."""
     shows_fields = {rule["value"] for setting in SETTINGS if setting["name"] == "color_by" for rule in setting["useful_with"] if rule["of"] == "fields"}
@@ -154,6 +164,7 @@ def follow_settings(params):
         params["color_by"] = "height"
     follow_needs(params)
     follow_clip_boxes(params)
+    follow_color_bounds(params)
     if "format" in params and params["format"].replace("jpg", "jpeg") not in FORMATS[params.get("output", "color")]:
         params["format"] = "png"
     if "deadline_ms" in params:
@@ -316,6 +327,7 @@ def map_case(context, case):
             shrink(case.body)
             for pose in [case.body, *case.body["poses"]]:
                 follow_clip_boxes(pose)
+                follow_color_bounds(pose)
             for pose in case.body["poses"]:
                 if "w" in pose or "h" in pose:
                     shrink(pose)

@@ -4,7 +4,7 @@ use glam::{DMat3, DVec2, DVec3};
 use pointillist::encode::ImageFormat;
 use pointillist::engine::{EngineError, FrameRequest, Pose};
 use pointillist::math::{Camera, Lens, View};
-use pointillist::plan::Output;
+use pointillist::plan::{Antialias, Output, Settings};
 
 use super::studio::{Studio, front};
 
@@ -45,6 +45,21 @@ fn sizes_have_limits() {
     }
     let limits = studio.engine.limits();
     assert_eq!((limits.max_side, limits.max_pixels), (300, 40_000));
+    // Parts of pixels count as pixels do.
+    let averaged = |width, height, output| {
+        let settings = Settings { antialias: Antialias::Parts16, ..front("cloud", 1, 1).settings };
+        let request = FrameRequest { settings, output, ..front("cloud", width, height) };
+        studio.engine.submit(request).err()
+    };
+    for (width, height, most) in [(76, 10, 75), (75, 34, 2_500)] {
+        let error = averaged(width, height, Output::Color);
+        assert!(
+            matches!(error, Some(EngineError::OverLimit { limit, .. }) if limit == most),
+            "{width} × {height}: {error:?}"
+        );
+        assert!(averaged(width, height, Output::Depth).is_none());
+    }
+    assert!(averaged(75, 33, Output::Color).is_none());
 }
 
 #[test]

@@ -9,6 +9,7 @@
     reason = "a test that unwraps says where it failed"
 )]
 
+mod antialias;
 mod clip_boxes;
 mod color_by;
 mod counts;

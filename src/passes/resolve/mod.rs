@@ -1,5 +1,6 @@
 //! The surfaces of visible pixels, and the output that they make.
 
+pub mod average;
 pub mod identify;
 pub mod resolve_fuzzy;
 pub mod resolve_lines;

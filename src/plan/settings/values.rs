@@ -104,6 +104,15 @@ impl Settings {
         Settings { line_width_px: LineWidth(Some(width)), ..*self }
     }
 
+    /// Parts along each side of a pixel.
+    pub fn parts(&self) -> u32 {
+        match self.antialias {
+            Antialias::Off => 1,
+            Antialias::Parts4 => 2,
+            Antialias::Parts16 => 4,
+        }
+    }
+
     /// Least width of lines, in pixels.
     pub fn least_line_px(&self) -> f32 {
         self.line_width_px.0.unwrap_or_default().get()
@@ -519,6 +528,36 @@ pub enum ErrorMode {
     /// Errors depend on the viewing angle, which draws fewer nodes. The outline of a surface seen at an angle may be off by twice the
     /// accepted error.
     Split,
+}
+
+/// Parts of a pixel that are averaged.
+#[derive(
+    Clone,
+    Copy,
+    Debug,
+    Default,
+    PartialEq,
+    Eq,
+    Hash,
+    Serialize,
+    Deserialize,
+    utoipa::ToSchema,
+    clap::ValueEnum,
+)]
+pub enum Antialias {
+    /// A pixel shows what its centre shows
+    #[default]
+    #[serde(rename = "off")]
+    #[value(name = "off")]
+    Off,
+    /// Mean of 2 × 2 parts
+    #[serde(rename = "4x")]
+    #[value(name = "4x")]
+    Parts4,
+    /// Mean of 4 × 4 parts
+    #[serde(rename = "16x")]
+    #[value(name = "16x")]
+    Parts16,
 }
 
 /// Meaning of the colours of surfaces.
