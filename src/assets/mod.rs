@@ -45,6 +45,7 @@ use glam::{DAffine3, DVec3, Vec2, Vec3};
 pub use self::blocks::{PointBlocks, Survey};
 pub use self::dispatch::{FORMATS, is_supported_extension, read, stands_alone};
 pub use self::fields::{Field, Fields};
+pub(crate) use self::strands::direction_colors;
 use crate::math::{Bounds, Camera, Sensor};
 use crate::memory::{Admission, Interrupt};
 

@@ -316,7 +316,7 @@ impl<'a> Strands<'a> {
 
 /// Appends the colours of a strand's directions. A vertex has that of the chord between its neighbours; where they are at one
 /// place, that of the segment behind it.
-fn direction_colors(strand: &[DVec3], colors: &mut Vec<[u8; 4]>) {
+pub fn direction_colors(strand: &[DVec3], colors: &mut Vec<[u8; 4]>) {
     let last = strand.len() - 1;
     for (at, &position) in strand.iter().enumerate() {
         let (before, after) = (strand[at.saturating_sub(1)], strand[(at + 1).min(last)]);

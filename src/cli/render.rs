@@ -35,6 +35,9 @@ pub struct RenderArgs {
     repeat: u32,
 }
 
+/// Time of a frame, in ns, that may be one of compiling: lavapipe compiles when it draws.
+const LONG_NS: u64 = 4_000_000_000;
+
 fn format_of(file: &Path) -> anyhow::Result<ImageFormat> {
     let extension = file.extension().unwrap_or_default().to_string_lossy();
     ImageFormat::named(&extension).with_context(|| {
@@ -96,6 +99,11 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
         loaded.as_secs_f64(),
         summary(&median.receipt)
     );
+    if args.repeat == 1 && median.receipt.gpu_ns.is_some_and(|ns| ns > LONG_NS) {
+        say!(
+            "the driver may have compiled shaders meanwhile, which it does once; --repeat 3 tells the time without that"
+        );
+    }
     Ok(())
 }
 

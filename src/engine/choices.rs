@@ -87,7 +87,7 @@ pub fn grounds(
         lod: settings.lod,
         has_samples,
         spacing_px: spacing_px.map(|px| px * magnification(request)),
-        parts: settings.parts(),
+        parts: settings.decisive_parts(),
         covered: auto::covered_share(patches, view),
         are_splats_plain: !settings.has_splat_choices() && !loaded.has_clip_lines(),
         accepted_px: settings.decisive_error().px(),

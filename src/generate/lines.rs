@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::numeric::sin_cos;
 use super::plain::srgb;
-use crate::assets::{Fields, Polylines, Progress};
+use crate::assets::{Fields, Polylines, Progress, direction_colors};
 use crate::scene::random::SplitMix64;
 
 /// Streams of random numbers begin here, so that no other generator has them.
@@ -69,9 +69,9 @@ fn joined(parts: Vec<Part>, has_kinds: bool) -> Polylines {
             lines.strands.push(end);
         }
     }
+    lines.colors = (!colors.is_empty()).then_some(colors);
     if has_kinds {
         lines.radii = Some(radii);
-        lines.colors = Some(colors);
         lines.fields = Fields::of_numbers(vec![("type", kinds)]);
     }
     lines
@@ -180,7 +180,8 @@ struct Bundle {
     fan: f64,
 }
 
-/// Streamlines in bundles within an ellipsoid of this height, z up, half of the bundles mirrored to the other side.
+/// Streamlines in bundles within an ellipsoid of this height, z up, half of the bundles mirrored to the other side. They have the colours of
+/// their directions.
 pub fn tracts(count: usize, height: f64, seed: u64, progress: &Progress) -> Polylines {
     let bundles = ((count as f64).sqrt() / 3.0).round().clamp(4.0, 60.0) as u64;
     let bundles: Vec<Bundle> = (0..bundles).map(|number| bundle(number, height, seed)).collect();
@@ -192,6 +193,7 @@ pub fn tracts(count: usize, height: f64, seed: u64, progress: &Progress) -> Poly
             let bundle = &bundles[streamline % bundles.len()];
             let mut part = Part::default();
             streamline_of(bundle, height, &mut part, &mut random);
+            direction_colors(&part.positions, &mut part.colors);
             part
         })
         .collect();

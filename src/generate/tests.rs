@@ -5,54 +5,17 @@ use std::path::{Path, PathBuf};
 use super::*;
 use crate::scene::{self, SceneLimits};
 
+const PLAIN: Parameters =
+    Parameters { seed: 1, points: None, triangles: None, size: None, count: None, form: None };
+
 /// The committed scenes and their parameters.
-const COMMITTED: [(Kind, &str, Parameters); 5] = [
-    (
-        Kind::Town,
-        "town",
-        Parameters {
-            seed: 1,
-            points: Some(165_000),
-            triangles: None,
-            size: Some(64.0),
-            count: None,
-            form: None,
-        },
-    ),
-    (
-        Kind::Relief,
-        "relief",
-        Parameters {
-            seed: 1,
-            points: None,
-            triangles: Some(36_000),
-            size: None,
-            count: None,
-            form: None,
-        },
-    ),
-    (
-        Kind::Textured,
-        "textured",
-        Parameters {
-            seed: 1,
-            points: None,
-            triangles: Some(8_000),
-            size: None,
-            count: None,
-            form: None,
-        },
-    ),
-    (
-        Kind::CsgPart,
-        "part",
-        Parameters { seed: 1, points: None, triangles: None, size: None, count: None, form: None },
-    ),
-    (
-        Kind::Plaza,
-        "plaza",
-        Parameters { seed: 1, points: None, triangles: None, size: None, count: None, form: None },
-    ),
+const COMMITTED: [(Kind, &str, Parameters); 6] = [
+    (Kind::Town, "town", Parameters { points: Some(165_000), size: Some(64.0), ..PLAIN }),
+    (Kind::Relief, "relief", Parameters { triangles: Some(36_000), ..PLAIN }),
+    (Kind::Textured, "textured", Parameters { triangles: Some(8_000), ..PLAIN }),
+    (Kind::CsgPart, "part", PLAIN),
+    (Kind::Plaza, "plaza", PLAIN),
+    (Kind::Neurons, "neurons", Parameters { count: Some(4), ..PLAIN }),
 ];
 
 fn scenes_folder() -> PathBuf {

@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 mod declaration;
+mod numbers;
 mod text;
 mod used;
 mod values;
@@ -23,10 +24,12 @@ mod values;
 pub use crate::scene::name::Name;
 use declaration::Accepted;
 pub use declaration::{Choice, Rule, Setting, SettingError, SettingKind};
+pub use numbers::{
+    ColorBound, EdlRadius, EdlStrength, LineWidth, MaxError, PointSize, PointSizePx,
+};
 pub use used::{UsedSettings, UsedSplats};
 pub use values::{
-    Antialias, Background, ColorBound, ColorBy, Edl, EdlRadius, EdlStrength, ErrorMode, LineWidth,
-    Lod, MaxError, Output, PointSize, PointSizePx, Reconstruct, StillFrame, Wait,
+    Antialias, Background, ColorBy, Edl, ErrorMode, Lod, Output, Reconstruct, StillFrame, Wait,
 };
 
 use crate::assets::fields::{CLASSIFICATION, INTENSITY, RETURN_NUMBER};

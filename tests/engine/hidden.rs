@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use glam::DVec3;
 use pointillist::engine::{FrameRequest, Pose};
 use pointillist::math::{Camera, Lens, Projection};
-use pointillist::plan::{Edl, ErrorMode, Output, Pass, Reconstruct, Settings};
+use pointillist::plan::{Antialias, Edl, ErrorMode, Output, Pass, Reconstruct, Settings};
 use pointillist::scene::{Blend, Filter, Shading};
 use serde_json::json;
 
@@ -181,7 +181,9 @@ fn every_pass_is_recorded_by_some_frame_in_the_order_of_the_table() {
             studio
         });
         let shaped = Settings { edl: Edl::On, ..Settings::drawn_as(Reconstruct::Points) };
-        for settings in settings().into_iter().take(8).chain([shaped]) {
+        let fine =
+            Settings { antialias: Antialias::Parts4, ..Settings::drawn_as(Reconstruct::Points) };
+        for settings in settings().into_iter().take(8).chain([shaped, fine]) {
             let request = FrameRequest { settings, ..views().remove(0) };
             for studio in &studios {
                 let receipt = &studio.frame(&request).receipt;

@@ -7,7 +7,9 @@ use std::path::PathBuf;
 
 use pointillist::accuracy::metrics;
 use pointillist::math::{Camera, Projection};
-use pointillist::plan::{ColorBy, Edl, Lod, MaxError, PointSizePx, Reconstruct, Settings};
+use pointillist::plan::{
+    Antialias, ColorBy, Edl, Lod, MaxError, PointSizePx, Reconstruct, Settings,
+};
 use pointillist::scene::recolor::ColorMap;
 
 use super::stage::Case;
@@ -133,6 +135,17 @@ fn a_single_pass() {
     let frame = case.draw_wide(&view, Settings::drawn_as(Reconstruct::Fuzzy));
     assert_eq!(frame.receipt.settings.instead_because, None);
     hold("town-square-fuzzy", &frame.color);
+}
+
+#[test]
+fn pull_push_and_lines() {
+    compare_with("town", &["square"], Settings::drawn_as(Reconstruct::PullPush), "-pulled");
+    let points = Settings::drawn_as(Reconstruct::Points);
+    let wide = Settings { line_width_px: 1.0.into(), ..points };
+    compare_with("neurons", &["front"], wide, "-pixel");
+    let fine = Settings { antialias: Antialias::Parts16, ..points };
+    compare_with("neurons", &["detail"], fine, "-antialias");
+    compare_with("plaza", &["walk"], fine, "-antialias");
 }
 
 #[test]

@@ -1,0 +1,167 @@
+//! Settings that are numbers.
+
+use serde::{Deserialize, Serialize};
+
+use super::SettingKind;
+
+/// Declares types of bounded numbers: name, unit, range and default.
+macro_rules! numbers {
+    ($($(#[doc = $doc:literal])+ $name:ident: $least:literal to $most:literal $unit:literal, $default:literal;)+) => {$(
+        $(#[doc = $doc])+
+        #[derive(Clone, Copy, Debug)]
+        pub struct $name(f32);
+
+        impl $name {
+            /// Least and largest value.
+            pub const RANGE: [f32; 2] = [$least, $most];
+
+            /// `None` for values outside the range.
+            pub fn new(value: f32) -> Option<$name> {
+                ($least..=$most).contains(&value).then_some($name(value))
+            }
+
+            pub fn get(self) -> f32 {
+                self.0
+            }
+
+            pub(super) fn kind() -> SettingKind {
+                let [least, most] = $name::RANGE.map(exact);
+                SettingKind::Number { least, most, default: Some(exact($default)), unit: $unit }
+            }
+        }
+
+        impl From<f64> for $name {
+            /// The default for values outside the range; [`super::Given::check`] refuses these before.
+            fn from(value: f64) -> Self {
+                $name::new(value as f32).unwrap_or_default()
+            }
+        }
+
+        impl Serialize for $name {
+            fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+                serializer.serialize_f64(exact(self.0))
+            }
+        }
+
+        impl Default for $name {
+            fn default() -> Self {
+                $name($default)
+            }
+        }
+
+        impl PartialEq for $name {
+            fn eq(&self, other: &Self) -> bool {
+                self.0.to_bits() == other.0.to_bits()
+            }
+        }
+
+        impl Eq for $name {}
+
+        impl std::hash::Hash for $name {
+            fn hash<H: std::hash::Hasher>(&self, state: &mut H) {
+                self.0.to_bits().hash(state);
+            }
+        }
+    )+};
+}
+
+numbers! {
+    /// Accepted error, in pixels.
+    MaxError: 0.05 to 64.0 "pixels", 1.0;
+    /// Least diameter of points, in pixels.
+    PointSizePx: 1.0 to 256.0 "pixels", 1.0;
+    /// Diameter of points in scene units.
+    PointSize: 0.0 to 1e9 "scene units", 0.0;
+    /// Least width of lines, in pixels.
+    LineWidthPx: 0.0 to 64.0 "pixels", 0.0;
+    /// Strength of eye-dome lighting: doubling it squares what is left of a pixel's light.
+    EdlStrength: 0.0 to 10.0 "", 0.6;
+    /// Distance of the neighbours that eye-dome lighting compares a pixel with, in pixels.
+    EdlRadius: 1.0 to 16.0 "pixels", 1.4;
+}
+
+/// Least width of lines. Where there is none, the scene decides.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize)]
+#[serde(transparent)]
+pub struct LineWidth(Option<LineWidthPx>);
+
+impl LineWidth {
+    /// The width, where there is one; else a pixel for sparse lines, and their own width for others.
+    #[must_use]
+    pub fn decided(self, are_sparse: bool) -> LineWidth {
+        LineWidth(Some(self.0.unwrap_or(LineWidthPx(if are_sparse { 1.0 } else { 0.0 }))))
+    }
+
+    pub fn px(self) -> f32 {
+        self.0.unwrap_or_default().get()
+    }
+
+    pub(super) fn kind() -> SettingKind {
+        match LineWidthPx::kind() {
+            SettingKind::Number { least, most, unit, .. } => {
+                SettingKind::Number { least, most, default: None, unit }
+            }
+            other => other,
+        }
+    }
+}
+
+impl From<f64> for LineWidth {
+    fn from(px: f64) -> Self {
+        LineWidth(Some(px.into()))
+    }
+}
+
+impl MaxError {
+    pub fn px(self) -> f32 {
+        self.get()
+    }
+}
+
+/// The number with the same shortest decimal form: 0.05 and not 0.05000000074505806.
+fn exact(number: f32) -> f64 {
+    number.to_string().parse().unwrap_or(f64::from(number))
+}
+
+/// A bound of the values that a colour map shows, in scene units or in those of the field.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(transparent)]
+pub struct ColorBound(f64);
+
+impl ColorBound {
+    pub fn get(self) -> f64 {
+        self.0
+    }
+
+    pub(super) fn kind() -> SettingKind {
+        SettingKind::Number { least: -1e9, most: 1e9, default: None, unit: "units of the value" }
+    }
+}
+
+impl From<f64> for ColorBound {
+    fn from(value: f64) -> Self {
+        ColorBound(value)
+    }
+}
+
+impl std::str::FromStr for ColorBound {
+    type Err = std::num::ParseFloatError;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        text.parse().map(ColorBound)
+    }
+}
+
+impl PartialEq for ColorBound {
+    fn eq(&self, other: &Self) -> bool {
+        self.0.to_bits() == other.0.to_bits()
+    }
+}
+
+impl Eq for ColorBound {}
+
+impl std::hash::Hash for ColorBound {
+    fn hash<H: std::hash::Hasher>(&self, state: &mut H) {
+        self.0.to_bits().hash(state);
+    }
+}
