@@ -65,6 +65,9 @@ fn every_parameter_changes_the_tag() {
     }
 }
 
+/// A scene, settings of which the last one is to be compared, and the outputs that show it.
+type Case<'a> = (&'a str, &'a [(&'a str, &'a str)], &'a [Output]);
+
 /// Tags and receipts ask the output and the scene, so that clients keep frames whose pixels cannot have changed.
 #[test]
 fn settings_without_effect_leave_the_tag_as_it_is() {
@@ -79,9 +82,8 @@ fn settings_without_effect_leave_the_tag_as_it_is() {
         }
         FrameRequest { settings: given.resolve().unwrap(), output, ..front(scene, 96, 96) }
     };
-    // A scene, settings of which the last one is to be compared, and the outputs that show it.
     let (color, all): (&[Output], &[Output]) = (&[Output::Color], &OUTPUTS);
-    let cases: &[(&str, &[(&str, &str)], &[Output])] = &[
+    let cases: &[Case] = &[
         ("cloud", &[("reconstruct", "points"), ("color_by", "height")], color),
         ("cloud", &[("reconstruct", "points"), ("background", "#ff0000")], color),
         ("cloud", &[("reconstruct", "points"), ("edl", "off")], color),
