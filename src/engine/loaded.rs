@@ -192,17 +192,16 @@ pub fn build(
     })
 }
 
-/// Lines are sparse where their area is below this share of the largest face of the scene's bounds.
+/// Lines are sparse where their area is below this share of the square over the scene's longest side.
 const SPARSE_LINES: f64 = 0.25;
 
 fn facts(model: &SceneModel, bounds: &Bounds) -> SceneFacts {
     let size = if bounds.is_empty() { DVec3::ZERO } else { bounds.max - bounds.min };
-    let face = (size.x * size.y).max(size.y * size.z).max(size.z * size.x);
     SceneFacts {
         counts: model.counts(),
         has_normals: model.assets.iter().any(|asset| asset.has_normals),
         lights: model.lights.len() as u32,
-        sparse_lines: model.line_area() < SPARSE_LINES * face,
+        sparse_lines: model.line_area() < SPARSE_LINES * size.max_element().powi(2),
         trees: false,
     }
 }

@@ -259,7 +259,7 @@ settings! {
     edl_radius_px: f64 => EdlRadius {
         label: "Radius", kind: EdlRadius::kind(), needs: [EDL], useful_with: [COLORS]
     }
-    /// Antialiasing: pixels are means of their parts, in linear light. A frame of 4 parts takes up to four times as long.
+    /// Antialiasing: pixels are means of their parts, in linear light.
     antialias: Antialias => Antialias {
         label: "Antialiasing", kind: SettingKind::own::<Antialias>(), needs: [], useful_with: [COLORS]
     }

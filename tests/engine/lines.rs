@@ -223,8 +223,9 @@ fn lines_that_would_be_lost_are_a_pixel_wide() {
         "nodes": [{ "asset": "cross" }],
         "cameras": { "front": { "eye": [0, 0.1, 4], "target": [0, 0, 0], "fov": 45 } },
     });
-    let drawn = |name: &str, radii: &str, line_width_px: Option<f64>| {
-        studio.write("cross.vtk", CROSS.replace("0.1\n0.1\n0.1\n0.05\n0.05", radii));
+    let of_radii = |radii: &str| CROSS.replace("0.1\n0.1\n0.1\n0.05\n0.05", radii);
+    let drawn = |name: &str, file: &str, line_width_px: Option<f64>| {
+        studio.write("cross.vtk", file);
         studio.load_json(name, &scene);
         let width = line_width_px.map_or_else(Default::default, Into::into);
         let settings = Settings { line_width_px: width, ..Settings::drawn_as(Reconstruct::Points) };
@@ -234,18 +235,24 @@ fn lines_that_would_be_lost_are_a_pixel_wide() {
         let ids = super::studio::ids(&frame.bytes);
         (ids.iter().filter(|&&id| id != 0).count(), used.as_f64().unwrap())
     };
-    let thin = ["1e-4"; 5].join("\n");
+    let thin = of_radii(&["1e-4"; 5].join("\n"));
     let (pixels, used) = drawn("thin", &thin, None);
     // Lines of 48 and 43 pixels, which cross.
     assert_eq!(used, 1.0);
     assert!((85..100).contains(&pixels), "{pixels}");
+    // A single straight line has no area between its ends.
+    let straight = "# vtk DataFile Version 3.0\nline\nASCII\nDATASET POLYDATA\nPOINTS 2 float\n-1 0 0\n1 0 0\nLINES 1 3\n2 0 1\n\
+        POINT_DATA 2\nSCALARS radius float 1\nLOOKUP_TABLE default\n1e-4\n1e-4\n";
+    let (pixels, used) = drawn("straight", straight, None);
+    assert_eq!(used, 1.0);
+    assert!(pixels > 40, "{pixels}");
     let (pixels, used) = drawn("true", &thin, Some(0.0));
     assert_eq!(used, 0.0);
     assert!(pixels < 5, "{pixels}");
     let (pixels, used) = drawn("wide", &thin, Some(6.0));
     assert_eq!(used, 6.0);
     assert!((480..620).contains(&pixels), "{pixels}");
-    let (_, used) = drawn("thick", &["0.2"; 5].join("\n"), None);
+    let (_, used) = drawn("thick", &of_radii(&["0.2"; 5].join("\n")), None);
     assert_eq!(used, 0.0);
 }
 
