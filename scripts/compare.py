@@ -93,26 +93,35 @@ def pose_of(receipt):
     return ["--eye", vector("eye"), "--target", vector("target"), "--up", vector("up"), "--fov", str(camera["fov_deg"])]
 
 
+PROJECTING = ("project_", "walk_", "rasterise_")
+
+
 def gpu_ms(receipt):
+    """GPU times of a frame, and of its passes that are not those of projection."""
     if receipt["gpu_ns"] is None:
         fail("the adapter measures no GPU time")
-    return receipt["gpu_ns"] / 1e6
+    projecting = sum(entry.get("gpu_ns") or 0 for entry in receipt["passes"] if entry["name"].startswith(PROJECTING))
+    return receipt["gpu_ns"] / 1e6, (receipt["gpu_ns"] - projecting) / 1e6
 
 
 class Row:
+    """`times`: for each build, pairs of a frame's time and of that without projection, a pair a round."""
+
     def __init__(self, name, times, is_equal, left_out):
         self.name, self.times, self.is_equal, self.left_out = name, times, is_equal, left_out
 
     def figures(self):
-        base, new = self.times
+        base, new = ([whole for whole, _ in pairs] for pairs in self.times)
         ratios = sorted(b / a for a, b in zip(base, new))
+        rest = [b / a for (_, a), (_, b) in zip(*self.times) if a > 0]
         return {
             "row": self.name,
             "base_ms": {"min": min(base), "median": statistics.median(base)},
             "new_ms": {"min": min(new), "median": statistics.median(new)},
             "ratio_of_min": min(new) / min(base),
-            # Of each round's ratio, since a machine's speed changes from round to round.
+            # The median is that of the rounds' ratios, since a machine's speed changes from round to round.
             "ratio": {"median": statistics.median(ratios), "least": ratios[0], "most": ratios[-1]},
+            "ratio_without_projection": statistics.median(rest) if rest else None,
             "equal_bytes": self.is_equal,
             "left_out": self.left_out,
         }
@@ -172,8 +181,8 @@ def main():
     print(f"{options.size}, {options.rounds} rounds in turns, each the median of {options.repeat} frames")
     print("ratios are new / base; below 1, the new build is faster")
     print()
-    print("| row | base ms (min, median) | new ms (min, median) | ratio of min | ratio of each round: median (least to most) | bytes |")
-    print("|---|---:|---:|---:|---:|---|")
+    print("| row | base ms (min, median) | new ms (min, median) | ratio of min | ratio of each round: median (least to most) | without projection | bytes |")
+    print("|---|---:|---:|---:|---:|---:|---|")
     results = []
     for row in rows:
         found = measure(row, programs, options).figures()
@@ -184,7 +193,8 @@ def main():
             notes += f" (left out: {'; '.join(found['left_out'])})"
         print(
             f"| {found['row']} | {base['min']:.2f}, {base['median']:.2f} | {new['min']:.2f}, {new['median']:.2f} "
-            f"| {found['ratio_of_min']:.3f} | {ratio['median']:.3f} ({ratio['least']:.3f} to {ratio['most']:.3f}) | {notes} |",
+            f"| {found['ratio_of_min']:.3f} | {ratio['median']:.3f} ({ratio['least']:.3f} to {ratio['most']:.3f}) "
+            f"| {found['ratio_without_projection'] or 0:.3f} | {notes} |",
             flush=True,
         )
     (options.folder / "compare.json").write_text(json.dumps(results, indent=1) + "\n")

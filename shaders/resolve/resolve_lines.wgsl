@@ -5,7 +5,7 @@
 //!include shared/line
 //!include shared/barycentric
 //!include shared/normals
-//!include shared/resolve
+//!include shared/resolve_each
 //!include shared/light
 //!include shared/recolor
 
@@ -62,15 +62,10 @@ fn line_light(light: Light, albedo: vec3<f32>, material: Material, direction: ve
 
 fn line_lights(albedo: vec3<f32>, material: Material, direction: vec3<f32>, is_ribbon: bool, place: vec3<f32>) -> vec3<f32> {
     let to_eye = eye_from(place);
+    let count = light_count();
     var color = vec3<f32>(0.0);
-    for (var i = 0u; i < FEW_LIGHTS; i++) {
-        color += line_light(few_lights[i], albedo, material, direction, is_ribbon, place, to_eye);
-    }
-    if FEW_LIGHTS == 0u {
-        let count = min(frame.light_count, arrayLength(&lights));
-        for (var i = 0u; i < count; i++) {
-            color += line_light(lights[i], albedo, material, direction, is_ribbon, place, to_eye);
-        }
+    for (var i = 0u; i < count; i++) {
+        color += line_light(light_at(i), albedo, material, direction, is_ribbon, place, to_eye);
     }
     return color;
 }
@@ -85,13 +80,13 @@ fn resolve(column: Column) {
     surface.slot = slot_of(column.word);
     surface.inverse_depth = bitcast<f32>(column.word.y);
     surface.depth_scale = 1.0;
-    if OUTPUT == OUTPUT_DEPTH {
+    if needs_depth() {
         finish(column.pixel, column.at, surface);
         return;
     }
     let slot = frame.first_slot + surface.slot;
     let instance = slots[slot].instance;
-    if OUTPUT == OUTPUT_ID {
+    if needs_id() {
         surface.id = instances[instance].id;
         finish(column.pixel, column.at, surface);
         return;
@@ -107,6 +102,7 @@ fn resolve(column: Column) {
     if hit.triangle != 0u {
         share = ribbon_share(seen.line, hit.triangle, ray);
     }
+    share = mix(seen.line.range.x, seen.line.range.y, share);
     let way = world_from_camera(towards(ray));
     let is_round = !seen.line.is_ribbon && hit.width_px >= ROUND_PX;
     let tangent = unit_or_zero(world_from_camera(seen.line.ab));
@@ -129,12 +125,12 @@ fn resolve(column: Column) {
     let color_b = linear_color(line_vertices[seen.line.words.y + 3u]);
     let color = material.base_color.rgb * mix(color_a, color_b, share);
     // Lines have no scalar fields to show.
-    surface.color = select(color_word(color), GREY, COLOR_BY == BY_FIELD);
+    surface.color = select(color, linear_color(GREY), COLOR_BY == BY_FIELD);
     if SHADED && !is_round && (material.flags & MATERIAL_UNLIT) == 0u {
         let direction = select(tangent, surface.normal, seen.line.is_ribbon);
-        let albedo = linear_color(recoloured(surface, column.at));
+        let albedo = recoloured(surface, column.at);
         if !seen.line.is_ribbon || any(direction != vec3<f32>(0.0)) {
-            surface.color = color_word(line_lights(albedo, material, direction, seen.line.is_ribbon, place_of(surface, column.at)));
+            surface.color = line_lights(albedo, material, direction, seen.line.is_ribbon, place_of(surface, column.at));
             finish_lit(column.pixel, surface);
             return;
         }
@@ -145,22 +141,7 @@ fn resolve(column: Column) {
 @compute @workgroup_size(64)
 fn resolve_lines(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     begin_view(group.z);
-    let begin = runs[frame.first_run + segment.index].first_slot;
-    let count = runs[frame.first_run + segment.index].count;
-    var column = column_begin(group, lane);
-    var resolved = 0u;
-    resolve_load(&column, begin, count);
-    loop {
-        resolve_seek(&column, begin, count);
-        if column_ends(column) {
-            break;
-        }
-        if column.mine {
-            resolve(column);
-            resolved++;
-        }
-        resolve_next(&column, begin, count);
-    }
+    let resolved = resolve_each(group, lane);
     if resolved != 0u {
         atomicAdd(&stats[frame.view].pixels_of_segments, resolved);
     }

@@ -91,11 +91,11 @@ fn show(surface: ptr<function, Surface>, one: Patch, at: vec2<i32>, pixel: u32) 
     let id = ~one.word;
     visibility[pixel] = vec2<u32>(one.word, bitcast<u32>((*surface).inverse_depth));
     (*surface).slot = id >> SLOT_SHIFT;
-    if OUTPUT == OUTPUT_ID {
+    if needs_id() {
         (*surface).id = instances[slots[frame.first_slot + (*surface).slot].instance].id;
     }
     if COLORS {
-        (*surface).color = color_word(one.color);
+        (*surface).color = one.color;
     }
     if NORMALS {
         let length_2 = dot(one.normal, one.normal);

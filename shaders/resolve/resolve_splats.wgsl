@@ -34,7 +34,7 @@ fn blended_normal(sums: vec3<u32>, inverse_weight: f32, at: vec2<u32>) -> vec3<f
 fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
     var surface: Surface;
     surface.slot = slot_of(word);
-    if OUTPUT == OUTPUT_ID {
+    if needs_id() {
         surface.id = instances[slots[frame.first_slot + surface.slot].instance].id;
         finish(pixel, at, surface);
         return;
@@ -45,12 +45,12 @@ fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
     // Splats count behind the nearest one as well: the offset is taken back.
     surface.inverse_depth = bitcast<f32>(word.y & ~FACING_BITS);
     surface.depth_scale = 1.0;
-    if OUTPUT == OUTPUT_DEPTH {
+    if needs_depth() {
         surface.depth_scale = fma(f32(second.y), 4294967296.0, f32(second.x)) / DEPTH_ONE * inverse_weight;
-    } else if OUTPUT == OUTPUT_NORMAL {
+    } else if !needs_color() {
         surface.normal = blended_normal(vec3<u32>(first.x, second.xy), inverse_weight, at);
     } else {
-        surface.color = color_word(vec3<f32>(vec3<u32>(first.x, second.xy)) * inverse_weight);
+        surface.color = vec3<f32>(vec3<u32>(first.x, second.xy)) * inverse_weight;
         if DEFERRED {
             let third = sums_2[pixel];
             let fourth = sums_3[pixel];

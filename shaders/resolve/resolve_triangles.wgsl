@@ -35,12 +35,12 @@ struct Corners {
 fn shown_slot(slot: u32) -> Shown {
     var shown: Shown;
     shown.slot = slot;
-    if OUTPUT == OUTPUT_DEPTH {
+    if needs_depth() {
         return shown;
     }
     let at = frame.first_slot + slot;
     let instance = slots[at].instance;
-    if OUTPUT == OUTPUT_ID {
+    if needs_id() {
         shown.id = instances[instance].id;
         return shown;
     }
@@ -51,7 +51,7 @@ fn shown_slot(slot: u32) -> Shown {
     if needs_normal() {
         shown.normals = normal_map(instance);
     }
-    if OUTPUT == OUTPUT_COLOR {
+    if needs_color() {
         shown.material = materials[chunks[chunk].material];
         if OVERRIDES {
             shown.material = effective_material(shown.material, instances[instance].material);
@@ -89,13 +89,13 @@ fn shown_corners(shown: Shown, triangle: u32) -> Corners {
             corners.normal[2] = turned(shown.normals, corner_normal(words.z) - n);
         }
     }
-    if OUTPUT == OUTPUT_COLOR {
+    if needs_color() {
         let color = corner_color(words.x);
         corners.color[0] = color;
         corners.color[1] = corner_color(words.y) - color;
         corners.color[2] = corner_color(words.z) - color;
     }
-    if OUTPUT == OUTPUT_COLOR && TEXTURES {
+    if needs_color() && TEXTURES {
         let uv = corner_uv(words.x);
         corners.uv[0] = uv;
         corners.uv[1] = corner_uv(words.y) - uv;
@@ -123,7 +123,7 @@ fn resolve(column: Column, shown: Shown, corners: Corners) {
     surface.id = shown.id;
     surface.inverse_depth = bitcast<f32>(column.word.y);
     surface.depth_scale = 1.0;
-    if OUTPUT == OUTPUT_COLOR || OUTPUT == OUTPUT_NORMAL {
+    if needs_color() || needs_normal() {
         let ray = ray_through(pixel_centre(column.at));
         let w = barycentric_weights(corners.form, ray);
         if needs_normal() {
@@ -131,7 +131,7 @@ fn resolve(column: Column, shown: Shown, corners: Corners) {
             surface.normal = facing_normal(own, world_from_camera(towards(ray)));
         }
         // Triangles have no scalar fields.
-        surface.color = select(color_word(surface_color(corners, shown.material, w)), GREY, COLOR_BY == BY_FIELD);
+        surface.color = select(surface_color(corners, shown.material, w), linear_color(GREY), COLOR_BY == BY_FIELD);
     }
     finish(column.pixel, column.at, surface);
 }
@@ -158,7 +158,7 @@ fn resolve_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_inv
             // A pixel that shows nothing has no triangle id.
             let id = select(0u, column.word.x, column.mine);
             var corners: Corners;
-            if column.mine && (OUTPUT == OUTPUT_COLOR || OUTPUT == OUTPUT_NORMAL) {
+            if column.mine && (needs_color() || needs_normal()) {
                 corners = shown_corners(shown, ~id & SLOT_MASK);
             }
             loop {

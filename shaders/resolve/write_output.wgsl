@@ -5,6 +5,7 @@
 //!include VOTE
 //!include shared/column
 //!include shared/colour
+//!include shared/kept_color
 //!include shared/material
 //!include shared/octahedral
 //!include shared/output
@@ -18,19 +19,19 @@ override OVERRIDES: bool = true;
 
 @group(0) @binding(1) var<storage, read> visibility: array<vec2<u32>>;
 @group(0) @binding(2) var<storage, read_write> pixels: array<u32>;
+@group(0) @binding(3) var<storage, read> normals: array<u32>;
 @group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
+@group(0) @binding(9) var<storage, read> colors: array<vec2<u32>>;
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
 @group(1) @binding(3) var<storage, read> instances: array<Instance>;
 @group(1) @binding(4) var<storage, read> materials: array<Material>;
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
 
-@group(0) @binding(3) var<storage, read> normals: array<u32>;
-
 // The surface that a resolve pass kept.
 fn kept_surface(column: Column) -> Surface {
     let packed = normals[column.pixel];
     var surface: Surface;
-    surface.color = pixels[column.pixel];
+    surface.color = color_of_kept(colors[column.pixel]);
     surface.normal = octahedral_decode(packed);
     surface.is_ball = packed == BALL;
     surface.inverse_depth = bitcast<f32>(column.word.y);
@@ -65,7 +66,8 @@ fn write_output(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocati
                 surface.color = lit_color(surface, column.at);
             }
             if EDL {
-                surface.color = color_word(linear_color(surface.color) * eye_dome(column.at, surface.inverse_depth));
+                // What is too bright for the image has outlines as well.
+                surface.color = min(surface.color, vec3<f32>(1.0)) * eye_dome(column.at, surface.inverse_depth);
             }
             pixels[column.pixel] = output_word(surface);
         }

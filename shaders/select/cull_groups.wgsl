@@ -28,5 +28,5 @@ fn cull_groups(@builtin(global_invocation_id) invocation: vec3<u32>) {
     let near = centre.z - abs(x.z) - abs(y.z) - abs(z.z) - group.delta_most - DEPTH_SLACK * far;
     let parent = select(group.error_parent, group.size_parent, MEASURE == 1u);
     let wanted = parent > accepted(near, far + group.delta_most);
-    group_flags[index] = u32(wanted && box_is_seen(centre, x, y, z, max(frame.disc_radius, least_line_radius(centre, x, y, z)), lod_margin()));
+    group_flags[index] = u32(wanted && box_is_seen(centre, x, y, z, widest_reach(Box(centre, x, y, z, 0.0)), lod_margin()));
 }

@@ -87,6 +87,8 @@ fn shown_parts(slot: Slot, chunk: Chunk) -> u32 {
     let whole = grid_box(at, chunk.origin, chunk.extent);
     let is_splats = SPLATS && chunk.kind == SAMPLES;
     let is_lines = chunk.kind == SEGMENTS;
+    // Lines of a part may be thinner than all others of the chunk, but none is thinner than asked for.
+    let least_reach = select(0.0, least_line_reach(whole), is_lines);
     let reach = select(select(0.0, splat_reach(chunk, stretch(at)), is_splats), line_reach(chunk, stretch(at), whole), is_lines);
     // A splat fills at least one pixel, and what is drawn of a node as points or as a disc reaches as far as its error.
     let is_node = chunk.kind == SAMPLES && chunk.node_base > 0.0 && (DISCS || !SPLATS);
@@ -103,7 +105,7 @@ fn shown_parts(slot: Slot, chunk: Chunk) -> u32 {
         }
         let low = parts[slot.chunk][left].low;
         var part = part_box(whole, low, parts[slot.chunk][left].high);
-        part.slack = fma(reach, select(longest_of(low), 1.0, DISCS && !is_lines), part.slack);
+        part.slack += max(reach * select(longest_of(low), 1.0, DISCS && !is_lines), least_reach);
         if !is_hidden(drawn_bounds(part, filter_px)) {
             shown |= 1u << left;
         }

@@ -68,7 +68,7 @@ fn select_chunks(@builtin(global_invocation_id) invocation: vec3<u32>) {
         let delta = instances[index].delta + DEPTH_SLACK * far;
         let parent = select(instances[index].error_parent, instances[index].size_parent, MEASURE == 1u);
         let own = parent > accepted(near - delta, far + delta)
-            && box_is_seen(centre, x, y, z, max(frame.disc_radius, least_line_radius(centre, x, y, z)), lod_margin());
+            && box_is_seen(centre, x, y, z, widest_reach(Box(centre, x, y, z, 0.0)), lod_margin());
         for (var segment = 0u; segment < segment_count; segment++) {
             let row = segment * frame.instance_groups + rank;
             let piece = pieces[geometry * segment_count + segment];

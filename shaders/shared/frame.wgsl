@@ -141,6 +141,11 @@ fn divisor(z: f32) -> f32 {
     return select(z, 1.0, ORTHOGRAPHIC);
 }
 
+// Radius of the thinnest lines at a depth.
+fn least_line_radius(z: f32) -> f32 {
+    return frame.line_radius * divisor(max(z, 0.0));
+}
+
 // A place's image in homogeneous coordinates.
 fn image_vector(position: vec3<f32>) -> vec3<f32> {
     return vec3<f32>(position.xy, divisor(position.z));

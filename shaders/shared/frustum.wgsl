@@ -163,14 +163,19 @@ fn splat_reach(chunk: Chunk, scale: f32) -> f32 {
     return max(reach, frame.disc_radius);
 }
 
-// Radius that lines in a box in camera space have at most, where they are as thin as the frame allows.
-fn least_line_radius(centre: vec3<f32>, x: vec3<f32>, y: vec3<f32>, z: vec3<f32>) -> f32 {
-    return frame.line_radius * divisor(max(centre.z + abs(x.z) + abs(y.z) + abs(z.z), 0.0));
+// How far lines in a box reach at least from their axes.
+fn least_line_reach(box: Box) -> f32 {
+    return 1.001 * least_line_radius(box.centre.z + box_deep(box));
+}
+
+// How far what an instance draws may reach beyond its box as a disc or as the thinnest line.
+fn widest_reach(box: Box) -> f32 {
+    return max(frame.disc_radius, least_line_reach(box));
 }
 
 // How far tubes and ribbons of a chunk may reach from their axes in camera space, of an instance's stretch.
 fn line_reach(chunk: Chunk, scale: f32, box: Box) -> f32 {
-    return 1.001 * max(chunk.kernel_base * scale, least_line_radius(box.centre, box.x, box.y, box.z));
+    return max(1.001 * chunk.kernel_base * scale, least_line_reach(box));
 }
 
 // Pixels that thin lines may be widened by in the image.

@@ -1,9 +1,6 @@
 // Light of a resolved surface.
 //!include shared/phong
 
-// Some material is unlit, shines or is overridden, so pixels have to look up theirs.
-override MATERIALS: bool = true;
-
 // Where a surface is relative to the frame's origin, in world axes.
 fn place_of(surface: Surface, at: vec2<u32>) -> vec3<f32> {
     let inverse = surface.inverse_depth / surface.depth_scale;
@@ -13,8 +10,8 @@ fn place_of(surface: Surface, at: vec2<u32>) -> vec3<f32> {
     return world_from_camera(ray_through(pixel_centre(at))) / inverse;
 }
 
-// sRGB8 of a surface under all lights; `at`: its pixel.
-fn lit_color(surface: Surface, at: vec2<u32>) -> u32 {
+// The linear colour of a surface under all lights; `at`: its pixel.
+fn lit_color(surface: Surface, at: vec2<u32>) -> vec3<f32> {
     var material: Material;
     if MATERIALS {
         material = materials[chunks[slots[frame.first_slot + surface.slot].chunk].material];
@@ -27,10 +24,9 @@ fn lit_color(surface: Surface, at: vec2<u32>) -> u32 {
     if (material.flags & MATERIAL_UNLIT) != 0u || (packed == NO_NORMAL && !surface.is_ball) {
         return surface.color;
     }
-    let albedo = linear_color(surface.color);
     let place = place_of(surface, at);
     if surface.is_ball {
-        return color_word(ball_lights(albedo, material, place));
+        return ball_lights(surface.color, material, place);
     }
-    return color_word(all_lights(albedo, material, octahedral_decode(packed), place));
+    return all_lights(surface.color, material, octahedral_decode(packed), place);
 }

@@ -27,6 +27,8 @@ struct Line {
     side_a: vec3<f32>,
     side_b: vec3<f32>,
     is_ribbon: bool,
+    // The part of the segment that this is: all of it, or what lies before the camera plane.
+    range: vec2<f32>,
     // Word offsets of the vertices; flags and hash; number of the first vertex in its file.
     words: vec2<u32>,
     link: u32,
@@ -90,10 +92,48 @@ fn line_cell(word: u32) -> vec3<i32> {
     return vec3<i32>(bitcast<i32>(line_vertices[word]), bitcast<i32>(line_vertices[word + 1u]), bitcast<i32>(line_vertices[word + 2u]));
 }
 
-fn side_of(at: Placed, word: u32, radius: f32) -> vec3<f32> {
+fn side_of(at: Placed, word: u32) -> vec3<f32> {
     let side = camera_of(at, octahedral_decode(line_vertices[word + 6u]));
     let size = length_of(side);
-    return side * select(radius / size, 0.0, size < 1e-37);
+    return side * select(1.0 / size, 0.0, size < 1e-37);
+}
+
+// Depth before which segments are cut, of the depth of their farther end.
+fn nearest_of(farthest: f32) -> f32 {
+    return max(1e-7 * farthest, NEAREST);
+}
+
+// Cuts a segment at the camera plane. A radius that grows with depth is then linear along what is left.
+fn cut_before(line: Line) -> Line {
+    let nearest = nearest_of(max(line.a.z, line.b.z));
+    if ORTHOGRAPHIC || (line.a.z < nearest) == (line.b.z < nearest) {
+        return line;
+    }
+    let share = (nearest - line.a.z) / line.ab.z;
+    let place = line.a + line.ab * share;
+    let radius = mix(line.radius.x, line.radius.y, share);
+    let side = mix(line.side_a, line.side_b, share);
+    var part = line;
+    if line.a.z < nearest {
+        part.a = vec3<f32>(place.xy, nearest);
+        part.ab = line.ab * (1.0 - share);
+        part.radius.x = radius;
+        part.side_a = side;
+        part.range.x = share;
+        part.link &= ~LINE_BEGINS;
+    } else {
+        part.b = vec3<f32>(place.xy, nearest);
+        part.ab = line.ab * share;
+        part.radius.y = radius;
+        part.side_b = side;
+        part.range.y = share;
+        part.link &= ~LINE_ENDS;
+    }
+    return part;
+}
+
+fn least_line_radii(line: Line) -> vec2<f32> {
+    return vec2<f32>(least_line_radius(line.a.z), least_line_radius(line.b.z));
 }
 
 // The segment `index` of a page; `scale` is radius_scale.
@@ -109,12 +149,18 @@ fn line_of(at: Placed, scale: f32, vertex_first: u32, index: u32) -> Line {
     line.b = grid_to_camera(at, b);
     line.ab = camera_of(at, vec3<f32>(b - a));
     line.radius = scale * vec2<f32>(bitcast<f32>(line_vertices[line.words.x + 4u]), bitcast<f32>(line_vertices[line.words.y + 4u]));
-    line.radius = max(line.radius, frame.line_radius * vec2<f32>(divisor(max(line.a.z, 0.0)), divisor(max(line.b.z, 0.0))));
+    line.range = vec2<f32>(0.0, 1.0);
     line.is_ribbon = line_vertices[line.words.x + 5u] != NO_NORMAL || line_vertices[line.words.y + 5u] != NO_NORMAL;
     if line.is_ribbon {
-        line.side_a = side_of(at, line.words.x, line.radius.x);
-        line.side_b = side_of(at, line.words.y, line.radius.y);
+        line.side_a = side_of(at, line.words.x);
+        line.side_b = side_of(at, line.words.y);
     }
+    if any(line.radius < least_line_radii(line)) {
+        line = cut_before(line);
+        line.radius = max(line.radius, least_line_radii(line));
+    }
+    line.side_a *= line.radius.x;
+    line.side_b *= line.radius.y;
     return line;
 }
 
@@ -149,7 +195,7 @@ fn strip_of(line: Line) -> Strip {
     var strip: Strip;
     let farthest = max(line.a.z, line.b.z);
     // A tiny part is left out of a segment that passes through the eye.
-    let nearest = max(1e-7 * farthest, NEAREST);
+    let nearest = nearest_of(farthest);
     var range = cut(vec2<f32>(0.0, 1.0), line.a.z - nearest, line.b.z - nearest);
     let f = frame.focal_px;
     let size = vec2<f32>(frame.size_px);

@@ -2,9 +2,6 @@
 //!include shared/phong
 const LIT: bool = true;
 
-// Some material is unlit, shines or is overridden, so splats have to look up theirs.
-override MATERIALS: bool = true;
-
 fn lit(color: vec3<f32>, normal: vec3<f32>, ball: bool, over_plus_one: u32, slot: SplatSlot, sample: u32) -> vec3<f32> {
     var material: Material;
     if MATERIALS {

@@ -1,4 +1,4 @@
-// The frame's output: how a pixel's word encodes a surface. Resolve passes only ask which parts of a surface an output needs.
+// The frame's output: how a pixel's word encodes a surface.
 //!include shared/surface
 override OUTPUT: u32 = 0u;
 
@@ -27,5 +27,5 @@ fn output_word(surface: Surface) -> u32 {
     if OUTPUT == OUTPUT_NORMAL {
         return normal_word(surface.normal);
     }
-    return surface.color;
+    return color_word(surface.color);
 }

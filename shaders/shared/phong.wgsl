@@ -17,12 +17,29 @@ struct Light {
 // The first lights once more: uniforms at fixed places are read once for a whole vector of threads.
 @group(1) @binding(10) var<uniform> few_lights: array<Light, 4>;
 
+// Some material is unlit, shines or is overridden, so that pixels and splats look up theirs.
+override MATERIALS: bool = true;
 // Some material reflects specularly.
 override SPECULAR: bool = true;
 // Some light stands at a point.
 override POINT_LIGHTS: bool = true;
 // How many lights there are, if `few_lights` has them all, or 0.
 override FEW_LIGHTS: u32 = 0u;
+
+fn light_count() -> u32 {
+    if FEW_LIGHTS != 0u {
+        return FEW_LIGHTS;
+    }
+    // A bound that is a uniform alone makes lavapipe build the shader anew for every frame, with the value inlined.
+    return min(frame.light_count, arrayLength(&lights));
+}
+
+fn light_at(i: u32) -> Light {
+    if FEW_LIGHTS != 0u {
+        return few_lights[i];
+    }
+    return lights[i];
+}
 
 // Returns the light's direction from the surface, and the fraction of the light that arrives; `place`: where the surface is, relative
 // to the frame's origin, in world axes.
@@ -60,16 +77,10 @@ fn eye_from(place: vec3<f32>) -> vec3<f32> {
 // Light that a surface reflects at a place, from all lights.
 fn all_lights(albedo: vec3<f32>, material: Material, n: vec3<f32>, place: vec3<f32>) -> vec3<f32> {
     let to_eye = eye_from(place);
+    let count = light_count();
     var color = vec3<f32>(0.0);
-    for (var i = 0u; i < FEW_LIGHTS; i++) {
-        color += phong(few_lights[i], albedo, material, n, place, to_eye);
-    }
-    if FEW_LIGHTS == 0u {
-        // A bound that is a uniform alone makes lavapipe build the shader anew for every frame, with the value inlined.
-        let count = min(frame.light_count, arrayLength(&lights));
-        for (var i = 0u; i < count; i++) {
-            color += phong(lights[i], albedo, material, n, place, to_eye);
-        }
+    for (var i = 0u; i < count; i++) {
+        color += phong(light_at(i), albedo, material, n, place, to_eye);
     }
     return color;
 }
@@ -89,15 +100,10 @@ fn phong_ball(light: Light, albedo: vec3<f32>, material: Material, place: vec3<f
 
 fn ball_lights(albedo: vec3<f32>, material: Material, place: vec3<f32>) -> vec3<f32> {
     let to_eye = eye_from(place);
+    let count = light_count();
     var color = vec3<f32>(0.0);
-    for (var i = 0u; i < FEW_LIGHTS; i++) {
-        color += phong_ball(few_lights[i], albedo, material, place, to_eye);
-    }
-    if FEW_LIGHTS == 0u {
-        let count = min(frame.light_count, arrayLength(&lights));
-        for (var i = 0u; i < count; i++) {
-            color += phong_ball(lights[i], albedo, material, place, to_eye);
-        }
+    for (var i = 0u; i < count; i++) {
+        color += phong_ball(light_at(i), albedo, material, place, to_eye);
     }
     return color;
 }

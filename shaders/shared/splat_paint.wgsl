@@ -1,5 +1,6 @@
 // A splat's contribution to pixels: its colour, lit or not, and its normal.
 //!include shared/output
+//!include shared/albedo
 //!include FIELDS
 override OVERRIDES: bool = true;
 // Pixels are lit, or write_output runs, after the splats are blended: normals are blended too.
@@ -20,18 +21,6 @@ struct Paint {
     normal: vec3<f32>,
 }
 
-fn albedo(own: u32, over_plus_one: u32) -> vec3<f32> {
-    let c = linear_from_srgb(unpack4x8unorm(own).rgb);
-    if !OVERRIDES || over_plus_one == 0u {
-        return c;
-    }
-    let over = materials[over_plus_one - 1u];
-    if (over.overrides & OVERRIDE_BASE_COLOR) == 0u {
-        return c;
-    }
-    return clamp(c * over.base_color.rgb, vec3<f32>(0.0), vec3<f32>(1.0));
-}
-
 fn paint_slot(slot: SplatSlot) -> PaintSlot {
     var shared_paint: PaintSlot;
     if OUTPUT == OUTPUT_NORMAL || DEFERRED || LIT {
@@ -45,7 +34,7 @@ fn paint_slot(slot: SplatSlot) -> PaintSlot {
 
 fn paint_of(slot: SplatSlot, shared_paint: PaintSlot, sample: u32) -> Paint {
     var paint: Paint;
-    if OUTPUT == OUTPUT_DEPTH {
+    if needs_depth() {
         return paint;
     }
     let packed = attributes[slot.first + sample];
@@ -55,11 +44,11 @@ fn paint_of(slot: SplatSlot, shared_paint: PaintSlot, sample: u32) -> Paint {
         let way = world_from_camera(towards(camera_place(splat_centre(slot, sample))));
         normal = facing_normal(turned(shared_paint.normals, octahedral_decode(packed.y)), way);
         paint.normal = fma(normal, vec3<f32>(0.5), vec3<f32>(0.5));
-        if OUTPUT == OUTPUT_COLOR && is_ball(packed) {
+        if needs_color() && is_ball(packed) {
             paint.normal = fma(facing_normal(-way, way), vec3<f32>(0.5 * BALL_NORMAL), vec3<f32>(0.5));
         }
     }
-    if OUTPUT == OUTPUT_COLOR {
+    if needs_color() {
         let at = slot.first + sample;
         var own: vec3<f32>;
         if SHOWS_FIELD {

@@ -32,13 +32,13 @@ fn emit(splat: Splat, paint: Paint, pixel: u32, d: vec2<f32>, q: f32) -> bool {
     }
     let weight = splat_weight(splat, q);
     let carry = carry_of(weight, pixel, inverse);
-    if OUTPUT == OUTPUT_DEPTH {
+    if needs_depth() {
         weigh(pixel, 0u, u32(weight));
         // Much nearer to the eye than the splat is wide, it is still before the eye.
         add_wide(pixel, u32(weight), max(u32(min(visible / inverse, 1.0) * DEPTH_ONE), 1u));
         return true;
     }
-    if OUTPUT == OUTPUT_NORMAL {
+    if !needs_color() {
         let n = fixed(paint.normal, weight, carry);
         weigh(pixel, n.x, u32(weight));
         add_1(pixel, n.y, n.z);

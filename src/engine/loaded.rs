@@ -196,12 +196,14 @@ pub fn build(
 const SPARSE_LINES: f64 = 0.25;
 
 fn facts(model: &SceneModel, bounds: &Bounds) -> SceneFacts {
+    let counts = model.counts();
     let size = if bounds.is_empty() { DVec3::ZERO } else { bounds.max - bounds.min };
     SceneFacts {
-        counts: model.counts(),
+        counts,
         has_normals: model.assets.iter().any(|asset| asset.has_normals),
         lights: model.lights.len() as u32,
-        sparse_lines: model.line_area() < SPARSE_LINES * size.max_element().powi(2),
+        sparse_lines: counts.segments > 0
+            && model.line_area() < SPARSE_LINES * size.max_element().powi(2),
         trees: false,
     }
 }

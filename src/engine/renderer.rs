@@ -265,9 +265,8 @@ impl Renderer {
     /// Views of a job's scene that may be drawn together: what each needs of a buffer must fit it as often.
     fn most_views(&self, job: &FrameJob) -> usize {
         let Some(scene) = self.residency.scene(&job.frame.model.id) else { return 1 };
-        let parts = job.drawing().settings.parts();
-        let size = (job.frame.request.width * parts, job.frame.request.height * parts);
-        let largest = Scratch::largest(scene, size, &job.drawing().plan);
+        let view = job.frame.view.finer(job.drawing().settings.parts());
+        let largest = Scratch::largest(scene, (view.width, view.height), &job.drawing().plan);
         let shared = if self.gpu.is_cpu { SHARED_BYTES_CPU } else { SHARED_BYTES };
         let room = self.gpu.max_binding_bytes().min(shared) / largest.max(1);
         room.clamp(1, u64::from(MOST_VIEWS)) as usize
@@ -282,7 +281,7 @@ impl Renderer {
         let edl = drawing.settings.eye_dome();
         FrameTask {
             model: first.frame.model.clone(),
-            views: jobs.iter().map(|job| job.frame.view.in_parts(parts)).collect(),
+            views: jobs.iter().map(|job| job.frame.view.finer(parts)).collect(),
             output: first.frame.request.output,
             plan: drawing.plan.clone(),
             reconstruction: drawing.reconstruction.in_parts(scale),

@@ -25,6 +25,13 @@ pub struct FrameRequest {
     pub deadline: Option<Instant>,
 }
 
+impl FrameRequest {
+    /// Parts along each side of a pixel, for antialiasing of the output.
+    pub fn parts(&self) -> u32 {
+        self.settings.with_antialias_decided(self.output).parts()
+    }
+}
+
 /// Camera of a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Pose {

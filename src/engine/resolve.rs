@@ -100,14 +100,15 @@ pub fn frame_limits(state: &EngineState) -> (u64, u32) {
     )
 }
 
-/// Parts along each side of a pixel: colours alone are averaged.
-fn parts_of(request: &FrameRequest) -> u32 {
-    if request.output == Output::Color { request.settings.parts() } else { 1 }
+/// Columns and rows of the image whose parts are averaged.
+fn drawn_size(request: &FrameRequest) -> (u32, u32) {
+    let parts = request.parts();
+    (request.width * parts, request.height * parts)
 }
 
 fn check_size(state: &EngineState, request: &FrameRequest) -> Result<(), EngineError> {
     let (mut max_pixels, mut max_side) = frame_limits(state);
-    let parts = parts_of(request);
+    let parts = request.parts();
     max_pixels /= u64::from(parts * parts);
     max_side /= parts;
     for (parameter, value) in [("w", request.width), ("h", request.height)] {
@@ -284,6 +285,7 @@ fn choose_reconstruction(
     let decided = auto.map_or(asked, |choice| asked.decided(choice.reconstruct));
     let settings = Settings { projection: Some(view.projection), ..decided }
         .with_edl_decided(facts, request.output)
+        .with_antialias_decided(request.output)
         .with_line_width_decided(facts);
     let settings = match (&provisional, &grounds) {
         // Until there are kernels, discs close what splats will.
@@ -330,9 +332,9 @@ fn decide(
     let fuzzy = reconstruction.fuzzy().filter(|_| facts.counts.samples > 0);
     let fits = |splats| {
         let accepted_px = if facts.trees { settings.accepted_px() } else { 0.0 };
-        let parts = parts_of(&request);
-        let view = view.in_parts(parts);
-        Slabs::new(splats, &loaded.extent, &view, accepted_px * parts as f32).fit()
+        let parts = request.parts();
+        let accepted_px = accepted_px * parts as f32;
+        Slabs::new(splats, &loaded.extent, &view.finer(parts), accepted_px).fit()
     };
     let refused = fuzzy.and_then(|splats| {
         let too_deep = "the scene is too deep for the slabs of a single pass";
@@ -372,11 +374,11 @@ fn decide(
 
 /// Returns the key of frames that cost about the same.
 fn cost_key(request: &FrameRequest, settings: &Settings) -> CostKey {
-    let FrameRequest { scene, width, height, output, .. } = request;
     let mut hasher = DefaultHasher::new();
-    scene.hash(&mut hasher);
-    (*output as u8, settings.kind_of_cost()).hash(&mut hasher);
-    CostKey { kind: hasher.finish(), pixels: u64::from(*width) * u64::from(*height) }
+    request.scene.hash(&mut hasher);
+    (request.output as u8, settings.kind_of_cost()).hash(&mut hasher);
+    let (width, height) = drawn_size(request);
+    CostKey { kind: hasher.finish(), pixels: u64::from(width) * u64::from(height) }
 }
 
 /// Returns what a bake has to make before the frame can be drawn; `None` if nothing is missing.
@@ -426,8 +428,8 @@ fn needed_output(request: &FrameRequest) -> Output {
 
 /// Why the frame cannot be drawn with `reconstruct=fuzzy`.
 fn no_fuzzy(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str> {
-    let parts = u64::from(parts_of(request));
-    let pixels = u64::from(request.width) * u64::from(request.height) * parts * parts;
+    let (width, height) = drawn_size(request);
+    let pixels = u64::from(width) * u64::from(height);
     if request.output != Output::Color {
         return Some("a single pass has nothing but colours");
     }
@@ -446,9 +448,7 @@ fn no_fuzzy(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str> {
 
 /// Why pull-push cannot draw a frame.
 fn no_pyramid(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str> {
-    let parts = parts_of(request);
-    let size = (request.width * parts, request.height * parts);
-    let bytes = Levels::of(size).pixels() * PATCH_BYTES;
+    let bytes = Levels::of(drawn_size(request)).pixels() * PATCH_BYTES;
     (bytes > adapter.max_binding_bytes)
         .then_some("the adapter cannot bind the pyramid of so many pixels; a smaller frame has one")
 }

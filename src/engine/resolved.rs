@@ -56,7 +56,7 @@ pub struct Drawing {
     pub plan: FramePlan,
     /// Settings that affect the frame, with what the scene adds to them.
     pub applied: Given,
-    /// The same with defaults for all others, so that frames that are drawn alike have equal settings.
+    /// `applied`, with defaults for all others: frames that are drawn alike have equal settings.
     pub settings: Settings,
     /// Reason for not drawing as requested.
     pub instead_because: Option<&'static str>,
@@ -104,10 +104,12 @@ impl Drawing {
         recolor: impl FnOnce(&Settings) -> Option<Recolor>,
         clip: Option<ClipRegion>,
     ) -> Drawing {
-        let applied = settings.settled(&reconstruction).affecting(scene, output);
-        let settings = Settings::from(applied);
-        let (edl, parts) = (settings.eye_dome(), settings.parts());
-        let frame = FrameFacts { output, reconstruction, edl, parts };
+        let settled = settings.settled(&reconstruction);
+        let applied = settled.affecting(scene, output);
+        // How samples are drawn has no effect where a view has none, but other frames of a film draw them likewise.
+        let settings = Settings::from(applied).drawn_like(&settled);
+        let (edl, is_averaged) = (settings.eye_dome(), settings.parts() > 1);
+        let frame = FrameFacts { output, reconstruction, edl, is_averaged };
         Drawing {
             applied,
             settings,

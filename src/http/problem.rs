@@ -304,11 +304,17 @@ impl From<EngineError> for Problem {
                 ),
             },
             EngineError::OverLimit { what, limit, .. } => {
-                let problem = Problem::new(Kind::OverLimit, text)
-                    .accepted(format!("at most {limit} {what}; GET /v1/limits lists all"));
+                let is_averaged = what.ends_with("with antialiasing");
+                let listed = match is_averaged {
+                    true => "lists the limits without antialiasing",
+                    false => "lists all",
+                };
+                let accepted = format!("at most {limit} {what}; GET /v1/limits {listed}");
+                let problem = Problem::new(Kind::OverLimit, text).accepted(accepted);
                 match what {
-                    "pixels in w" => problem.at("w"),
-                    "pixels in h" => problem.at("h"),
+                    _ if what.starts_with("pixels in w") => problem.at("w"),
+                    _ if what.starts_with("pixels in h") => problem.at("h"),
+                    _ if is_averaged => problem.at("antialias"),
                     _ => problem,
                 }
             }

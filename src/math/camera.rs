@@ -282,7 +282,7 @@ impl Camera {
 impl View {
     /// The view as an image of so many times the pixels along each side.
     #[must_use]
-    pub fn in_parts(&self, factor: u32) -> View {
+    pub fn finer(&self, factor: u32) -> View {
         View {
             focal_px: self.focal_px * f64::from(factor),
             principal_px: self.principal_px * f64::from(factor),

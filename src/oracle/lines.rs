@@ -18,12 +18,18 @@ use super::visibility::{Hit, SeenTriangle, band_rows, keep_nearer, pixel_ray, pi
 /// Width in pixels from which on a tube has the normals of its surface; a thinner one is lit by its direction.
 const ROUND_PX: f64 = 2.0;
 
-/// A segment in view space.
+/// A segment in view space, or what lies of it before the camera plane.
+struct Seen {
+    shape: Shape,
+    /// Shares of the segment at both ends.
+    range: [f64; 2],
+}
+
 #[allow(
     clippy::large_enum_variant,
     reason = "the reference is written for clarity, and few lines are seen at a time"
 )]
-enum Seen {
+enum Shape {
     Tube(Tube),
     Ribbon([Option<SeenTriangle>; 2]),
 }
@@ -49,26 +55,33 @@ impl Seen {
         let stretch = item.greatest_stretch();
         let own =
             |v: usize| lines.radii.as_ref().map_or(0.0, |radii| f64::from(radii[v])) * stretch;
+        let own = ends.map(own);
         let focal = (view.focal_px.x * view.focal_px.y).sqrt();
         let least = |p: DVec3| 0.5 * width_px * view.divisor((-p.z).max(0.0)) / focal;
-        let radii = [own(ends[0]).max(least(a)), own(ends[1]).max(least(b))];
+        let is_widened = own[0] < least(a) || own[1] < least(b);
+        let range = if is_widened { before_eye(view, [a, b]) } else { [0.0, 1.0] };
+        let [a, b] = range.map(|share| if share == 1.0 { b } else { a.lerp(b, share) });
+        let own = range.map(|share| own[0] + (own[1] - own[0]) * share);
+        let radii = [own[0].max(least(a)), own[1].max(least(b))];
         let Some(normals) = &lines.normals else {
-            return Some(Seen::Tube(Tube { ends: [a, b], radii }));
+            return Some(Seen { shape: Shape::Tube(Tube { ends: [a, b], radii }), range });
         };
         let strand = lines.strand_of(vertex);
-        let side = |place: usize| {
-            let side = lines.side(normals, ends[place], strand.clone());
-            item.to_view_direction(side).normalize_or_zero() * radii[place]
-        };
+        let sides = ends.map(|end| {
+            let side = lines.side(normals, end, strand.clone());
+            item.to_view_direction(side).normalize_or_zero()
+        });
+        let side = |place: usize| sides[0].lerp(sides[1], range[place]) * radii[place];
         let (sa, sb) = (side(0), side(1));
         let corners = [[a - sa, a + sa, b + sb], [a - sa, b + sb, b - sb]];
-        Some(Seen::Ribbon(corners.map(|corners| SeenTriangle::new(corners, view.projection))))
+        let triangles = corners.map(|corners| SeenTriangle::new(corners, view.projection));
+        Some(Seen { shape: Shape::Ribbon(triangles), range })
     }
 
     /// Pixels that hold every covered one.
     fn pixel_box(&self, view: &View) -> Option<[usize; 4]> {
-        match self {
-            Seen::Tube(Tube { ends, radii }) => {
+        match &self.shape {
+            Shape::Tube(Tube { ends, radii }) => {
                 let corners = ends.iter().zip(radii).flat_map(|(&end, &radius)| {
                     (0..8).map(move |i| {
                         let sign = |bit: u32| if i >> bit & 1 == 0 { -radius } else { radius };
@@ -87,7 +100,7 @@ impl Seen {
                 let high = images.iter().copied().reduce(glam::DVec2::max)?;
                 Some(pixels_between(view, low, high))
             }
-            Seen::Ribbon(triangles) => {
+            Shape::Ribbon(triangles) => {
                 let boxes = triangles.iter().flatten().filter_map(|t| t.pixel_box(view));
                 boxes
                     .reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1]), a[2].min(b[2]), a[3].max(b[3])])
@@ -96,14 +109,14 @@ impl Seen {
     }
 
     fn meet(&self, view: &View, ray: DVec3) -> Option<Met> {
-        match self {
-            Seen::Tube(tube) => {
+        match &self.shape {
+            Shape::Tube(tube) => {
                 let (origin, way) = (view.at_depth(ray, 0.0), view.towards(ray));
                 let entry = tube.enter(origin, way)?;
                 let depth = -(origin + way * entry.at).z;
                 Some(Met { depth, share: entry.share, normal: entry.normal })
             }
-            Seen::Ribbon(triangles) => {
+            Shape::Ribbon(triangles) => {
                 let covers = |t: &&SeenTriangle| t.covers(ray);
                 let which =
                     triangles.iter().position(|t| t.as_ref().is_some_and(|t| covers(&t)))?;
@@ -114,6 +127,18 @@ impl Seen {
             }
         }
     }
+}
+
+/// Shares of a segment between which it lies before the camera plane, but for a tiny part; all of it where it does not pass the plane. A radius
+/// that grows with depth is linear along that part alone.
+fn before_eye(view: &View, ends: [DVec3; 2]) -> [f64; 2] {
+    let [a, b] = ends.map(|end| -end.z);
+    let nearest = 1e-7 * a.max(b);
+    if view.is_orthographic() || (a < nearest) == (b < nearest) {
+        return [0.0, 1.0];
+    }
+    let share = (nearest - a) / (b - a);
+    if a < nearest { [share, 1.0] } else { [0.0, share] }
 }
 
 /// Adds the hits of a geometry of lines.
@@ -169,11 +194,12 @@ pub fn surface(
         return surface_of([0.0; 4], (view, position), DVec3::ZERO, &material);
     };
     let ends = [hit.index as usize, hit.index as usize + 1];
-    let mix = |[a, b]: [f64; 2]| a + (b - a) * met.share;
+    let mix = |[a, b]: [f64; 2], share: f64| a + (b - a) * share;
+    let share = mix(seen.range, met.share);
     let mut color = [1.0; 4];
     if let Some(colors) = &lines.colors {
         let [a, b] = ends.map(|v| linear_from_srgba8(colors[v]));
-        color = std::array::from_fn(|channel| mix([a[channel], b[channel]]));
+        color = std::array::from_fn(|channel| mix([a[channel], b[channel]], share));
     }
     for (channel, factor) in color.iter_mut().zip(material.base_color) {
         *channel *= f64::from(factor);
@@ -182,12 +208,12 @@ pub fn surface(
         let [r, g, b, _] = linear_from_srgba8([NO_VALUE, NO_VALUE, NO_VALUE, 255]);
         color = [r, g, b, color[3]];
     }
-    match seen {
-        Seen::Tube(tube) => {
+    match seen.shape {
+        Shape::Tube(tube) => {
             let axis = tube.ends[1] - tube.ends[0];
             let at = tube.ends[0] + axis * met.share;
             let focal = (view.focal_px.x * view.focal_px.y).sqrt();
-            let width_px = 2.0 * mix(tube.radii) * focal / view.divisor(-at.z);
+            let width_px = 2.0 * mix(tube.radii, met.share) * focal / view.divisor(-at.z);
             if width_px >= ROUND_PX {
                 let normal = world_from_view * met.normal;
                 return surface_of(color, (view, position), normal, &material);
@@ -198,10 +224,10 @@ pub fn surface(
             let surface = surface_of(color, (view, position), world_from_view * across, &material);
             Surface { lit_as: LitAs::Line(world_from_view * tangent), ..surface }
         }
-        Seen::Ribbon(_) => {
+        Shape::Ribbon(_) => {
             let normal = lines.normals.as_ref().map_or(DVec3::ZERO, |normals| {
                 let [a, b] = ends.map(|v| normals[v].as_dvec3());
-                item.normal_world_from_geometry * a.lerp(b, met.share)
+                item.normal_world_from_geometry * a.lerp(b, share)
             });
             let surface = surface_of(color, (view, position), normal, &material);
             Surface { lit_as: LitAs::Sheet, ..surface }

@@ -134,7 +134,7 @@ pub fn render(scene: &OracleScene<'_>, view: &View, supersample: u32) -> OracleF
     let mut color = match supersample {
         0 | 1 => colors(&prepared, view, &shown),
         n => {
-            let fine_view = visibility::finer(view, n);
+            let fine_view = view.finer(n);
             let fine = colors(&prepared, &fine_view, &self::shown(&prepared, view, n));
             box_filter(&fine, view, n as usize)
         }
@@ -188,7 +188,7 @@ enum Shown {
 fn shown(prepared: &Prepared<'_>, view: &View, fineness: u32) -> Vec<Shown> {
     let hits = visibility::resolve(prepared, view, fineness);
     let or_hit = |hit: Option<Hit>| hit.map_or(Shown::Nothing, Shown::Hit);
-    let fine_view = visibility::finer(view, fineness);
+    let fine_view = view.finer(fineness);
     if let Some(settings) = &prepared.scene.pull_push {
         let pulled = pull_push::pulled(prepared, &fine_view, settings, &hits);
         let shown = |(pulled, hit): (Option<Blended>, Option<Hit>)| {

@@ -281,7 +281,7 @@ fn supersampling_keeps_the_filter_as_wide_in_pixels() {
             let splats = Splats { prefilter, ..sharp(filter) };
             // Blended over the filter's reach, seen over its own.
             let scene = super::tests::scene(vec![item(&geometry)]);
-            let finer = visibility::finer(&view(), 8);
+            let finer = view().finer(8);
             let prepared = Prepared::new(&scene, &finer);
             let settings = splats::Settings::new(&splats, 8);
             let splat =

@@ -124,7 +124,7 @@ pub fn resolve(prepared: &Prepared<'_>, view: &View, fineness: u32) -> Vec<Optio
     let sub_pixels = (0..width * n * height * n).into_par_iter();
     let mut fine: Vec<Option<Hit>> =
         sub_pixels.map(|i| coarse[i / (width * n) / n * width + i % (width * n) / n]).collect();
-    let fine_view = finer(view, fineness);
+    let fine_view = view.finer(fineness);
     for (number, item) in prepared.items.iter().enumerate() {
         if let Geometry::Mesh(mesh) = item.item.geometry {
             add_triangles(prepared, &fine_view, &mut fine, (number as u32, item, mesh));
@@ -134,17 +134,6 @@ pub fn resolve(prepared: &Prepared<'_>, view: &View, fineness: u32) -> Vec<Optio
         }
     }
     fine
-}
-
-/// A view with `n` times the pixels each way.
-pub fn finer(view: &View, n: u32) -> View {
-    View {
-        focal_px: view.focal_px * f64::from(n),
-        principal_px: view.principal_px * f64::from(n),
-        width: view.width * n,
-        height: view.height * n,
-        ..*view
-    }
 }
 
 /// Keeps the nearer of two hits.

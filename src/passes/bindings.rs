@@ -51,6 +51,7 @@ impl<'a> Names<'a> {
             "patches_3" => scratch.patches[3].buffer(),
             "layers" => scratch.layers.buffer(),
             "pixels" => scratch.pixels.buffer(),
+            "colors" => scratch.colors.buffer(),
             "normals" => scratch.normals.buffer(),
             "stats" => scratch.stats.buffer(),
             "placed" => scratch.placed.buffer(),

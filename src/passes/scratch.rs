@@ -17,6 +17,8 @@ use crate::residency::{GROUP, ResidentScene};
 pub struct Scratch {
     pub visibility: buffer::Scratch,
     pub pixels: buffer::Scratch,
+    /// Colours and normals of surfaces that wait for `write_output`.
+    pub colors: buffer::Scratch,
     pub normals: buffer::Scratch,
     /// Sums of blended splats: two words of 32 bits for each pixel in each buffer.
     pub sums: [buffer::Scratch; 4],
@@ -100,6 +102,7 @@ impl Scratch {
         Self {
             visibility: make("visibility"),
             pixels: make("pixels"),
+            colors: make("colors"),
             normals: make("normals"),
             sums: ["sums_0", "sums_1", "sums_2", "sums_3"].map(make),
             layers: make("layers"),
@@ -161,6 +164,7 @@ impl Scratch {
         self.visibility.reserve(gpu, pixels * 8);
         self.pixels.reserve(gpu, pixels * 4);
         if task.plan.runs(Pass::WriteOutput) {
+            self.colors.reserve(gpu, pixels * 8);
             self.normals.reserve(gpu, pixels * 4);
         }
         for sums in &mut self.sums[..task.sums()] {

@@ -132,8 +132,8 @@ pub struct FrameFacts {
     pub reconstruction: Reconstruction,
     /// Eye-dome lighting, where it is on.
     pub edl: Option<EyeDome>,
-    /// Parts along each side of a pixel, for antialiasing; 0 and 1 mean one.
-    pub parts: u32,
+    /// Pixels are means of their parts.
+    pub is_averaged: bool,
 }
 
 /// One line of a plan.
@@ -316,7 +316,7 @@ mod tests {
         let mut plans = Vec::new();
         for (scene, adapter, reconstruction) in iproduct(scenes, adapters, methods) {
             for (output, edl, picked) in iproduct(outputs, [None, Some(effect)], sides) {
-                let frame = FrameFacts { output, reconstruction, edl, parts: 1 };
+                let frame = FrameFacts { output, reconstruction, edl, is_averaged: false };
                 let plan = super::plan(&scene, &frame, &adapter);
                 plans.push(if picked { plan.with_identities() } else { plan });
             }

@@ -72,12 +72,19 @@ impl Reconstruction {
     /// The method for an image whose pixels are smaller by a factor.
     #[must_use]
     pub fn in_parts(self, factor: f32) -> Reconstruction {
+        let finer = |splats: Splats| Splats { lowpass_px: splats.lowpass_px * factor, ..splats };
         match self {
+            Reconstruction::Points => Reconstruction::Points,
             Reconstruction::Discs(discs) => {
                 let diameter_px = discs.diameter_px * factor;
                 Reconstruction::Discs(Discs { diameter_px, ..discs })
             }
-            other => other,
+            Reconstruction::Splats(splats) => Reconstruction::Splats(finer(splats)),
+            Reconstruction::Fuzzy(splats) => Reconstruction::Fuzzy(finer(splats)),
+            Reconstruction::PullPush(pull_push) => {
+                let splats = finer(pull_push.splats);
+                Reconstruction::PullPush(PullPush { splats, ..pull_push })
+            }
         }
     }
 

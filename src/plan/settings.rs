@@ -428,22 +428,27 @@ impl Given {
     }
 }
 
+/// Those settings among `known` whose needs are met and that `is_asked` lets pass.
+fn kept(known: &Map<String, Value>, is_asked: impl Fn(&Setting) -> bool) -> Given {
+    let mut given = Given::default();
+    for setting in declared() {
+        if let Some(value) = known.get(setting.name)
+            && setting.needs.iter().all(|rule| rule.allows(Some(value), known))
+            && is_asked(setting)
+        {
+            // Comes of the same type.
+            let _ = given.set(setting.name, value.clone());
+        }
+    }
+    given
+}
+
 impl Settings {
     /// Every setting whose needs among the other settings are met: the form in which jobs are stored. [`Settings::affecting`] also asks the
     /// output and the scene.
     #[must_use]
     pub fn applied(&self) -> Given {
-        let used = words(self);
-        let mut given = Given::default();
-        for setting in declared() {
-            if let Some(value) = used.get(setting.name)
-                && setting.needs.iter().all(|rule| rule.allows(Some(value), &used))
-            {
-                // Comes of the same type.
-                let _ = given.set(setting.name, value.clone());
-            }
-        }
-        given
+        kept(&words(self), |_| true)
     }
 
     /// The canonical form: those applied settings that affect the pixels of an output of a scene. Receipts list them, and tags hash them.
@@ -456,17 +461,12 @@ impl Settings {
         known.insert("segments".to_owned(), some(scene.counts.segments).into());
         known.insert("lights".to_owned(), some(scene.lights.into()).into());
         known.insert("output".to_owned(), serde_json::json!(output));
-        let mut given = self.applied();
-        for setting in declared() {
+        let is_open = |rule: &Rule| known.get(rule.of).is_none_or(Value::is_null);
+        kept(&known, |setting| {
             // Rules of single values say what can be drawn at all.
             let mut rules = setting.useful_with.iter().filter(|rule| rule.value.is_none());
-            let is_open = |rule: &Rule| known.get(rule.of).is_none_or(Value::is_null);
-            if !rules.all(|rule| is_open(rule) || rule.holds(&known)) {
-                // Nothing is wrong with `null`.
-                let _ = given.set(setting.name, Value::Null);
-            }
-        }
-        given
+            rules.all(|rule| is_open(rule) || rule.holds(&known))
+        })
     }
 
     /// Bytes that are equal for frames that cost about the same: the canonical form with numbers rounded to powers of two, and without

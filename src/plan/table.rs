@@ -180,7 +180,7 @@ reasons! {
     BLENDED: "splats are blended", |f| f.scene.has(GeometryKind::Samples) && f.frame.reconstruction.blends();
     NO_EFFECT: "no effect reads neighbouring pixels", |f| f.frame.edl.is_none();
     NOT_COLOR: "the output is not color", |f| f.frame.output != super::Output::Color;
-    NOT_AVERAGED: "pixels have one part", |f| f.frame.parts < 2;
+    NOT_AVERAGED: "pixels have one part", |f| !f.frame.is_averaged;
     IDS: "the output is id", |f| f.frame.output == super::Output::Id;
     // `FramePlan::with_identities` makes it run.
     NOT_PICKED: "no pixel is picked", |_| true;

@@ -118,6 +118,7 @@ fn settings() -> Vec<Settings> {
         spt(0.5, points),
         spt(2.0, points),
         Settings::drawn_as(Reconstruct::PullPush),
+        Settings { line_width_px: 12.0.into(), ..Settings::drawn_as(points) },
         small,
         Settings { filter: Some(Filter::Exact), blend: Some(Blend::Opaque), ..splats },
         Settings { reconstruct: Reconstruct::Fuzzy, ..splats },
@@ -142,7 +143,7 @@ fn frames_are_those_that_draw_what_is_hidden() {
             views().into_iter().take(2).map(|view| FrameRequest { scene: "wide".into(), ..view });
         for (number, view) in views().into_iter().chain(wide).enumerate() {
             // All filters for the first view.
-            for settings in settings().into_iter().take(if number == 0 { usize::MAX } else { 6 }) {
+            for settings in settings().into_iter().take(if number == 0 { usize::MAX } else { 7 }) {
                 // Ids show anything that is missing.
                 let outputs = if number == 0 { &OUTPUTS[..] } else { &[Output::Id] };
                 for &output in outputs {
@@ -183,7 +184,7 @@ fn every_pass_is_recorded_by_some_frame_in_the_order_of_the_table() {
         let shaped = Settings { edl: Edl::On, ..Settings::drawn_as(Reconstruct::Points) };
         let fine =
             Settings { antialias: Antialias::Parts4, ..Settings::drawn_as(Reconstruct::Points) };
-        for settings in settings().into_iter().take(8).chain([shaped, fine]) {
+        for settings in settings().into_iter().take(9).chain([shaped, fine]) {
             let request = FrameRequest { settings, ..views().remove(0) };
             for studio in &studios {
                 let receipt = &studio.frame(&request).receipt;

@@ -11,13 +11,14 @@ use super::stream::{Came, GRID, Stream, pose};
 
 #[test]
 fn streams_are_closed_with_a_reason() {
-    let mut daemon = Daemon::start(&["--stream-idle-seconds", "1"]);
+    let mut daemon = Daemon::start(&["--stream-idle-seconds", "3"]);
     let mut idle = Stream::open(&daemon, "/v1/scenes/grid/stream?w=64&h=64");
     let began = Instant::now();
     assert_eq!(idle.closed(), 4408);
-    assert!(began.elapsed() > Duration::from_millis(900));
+    assert!(began.elapsed() > Duration::from_millis(2900));
     let mut pinging = Stream::open(&daemon, GRID);
-    for ping in 0..5 {
+    // Longer than the limit in all, and each pause far shorter.
+    for ping in 0..9 {
         std::thread::sleep(Duration::from_millis(400));
         pinging.send(json!({"ping": ping}));
     }

@@ -1,6 +1,7 @@
 //! Antialiasing: pixels are the means of their parts, as in the reference.
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
+use pointillist::accuracy::metrics::psnr;
 use pointillist::plan::{Antialias, Edl, Pass, Reconstruct, Settings};
 use pointillist::scene::color::linear_from_srgb;
 use serde_json::json;
@@ -30,15 +31,6 @@ fn case(name: &str, background: &str, radius: f64) -> Case {
     Case::new(name, &files, &scene)
 }
 
-fn psnr(found: &[[u8; 4]], expected: &[[u8; 4]]) -> f64 {
-    let squares = found
-        .iter()
-        .zip(expected)
-        .flat_map(|(a, b)| (0..4).map(move |c| f64::from(a[c].abs_diff(b[c])).powi(2)));
-    let mean = squares.sum::<f64>() / (4 * found.len()) as f64;
-    10.0 * (255.0 * 255.0 / mean.max(1e-9)).log10()
-}
-
 #[test]
 fn pixels_are_means_of_their_parts() {
     let case = case("antialias", "#304050", 0.03);
@@ -46,15 +38,17 @@ fn pixels_are_means_of_their_parts() {
     let plain = case.draw_with(&view, settings(Antialias::Off));
     assert!(!plain.ran(Pass::Average));
     let truth = case.reference.frame(&view, 8).to_rgba8();
-    let mut before = psnr(&plain.color, &truth);
+    let mut before = psnr(&truth, &plain.color).unwrap();
     for (antialias, parts) in [(Antialias::Parts4, 2), (Antialias::Parts16, 4)] {
         let frames = case.draw_with(&view, settings(antialias));
         let exact = case.reference.frame(&view, parts).to_rgba8();
-        let (like, near) = (psnr(&frames.color, &exact), psnr(&frames.color, &truth));
+        let (like, near) =
+            (psnr(&exact, &frames.color).unwrap(), psnr(&truth, &frames.color).unwrap());
         println!(
             "{parts} × {parts}: {like:.1} dB from the reference, {near:.1} dB from 8 × 8 ({before:.1} before)"
         );
         assert!(like > 45.0, "{like}");
+        assert!(frames.color.iter().zip(&exact).all(|(a, b)| a[3] == b[3]));
         assert!(near > before + 2.0, "{near} after {before}");
         before = near;
         // The other outputs have no means.
@@ -102,17 +96,49 @@ fn edges_before_a_transparent_background_have_the_colours_of_what_they_show() {
     assert!(count > 20, "{count}");
 }
 
+/// Points cover a pixel, and splats have a filter of their pixels, however many parts a pixel has.
+#[test]
+fn samples_are_as_large_as_without() {
+    let side = 24;
+    let mut points = Shape::default();
+    for i in 0..side * side {
+        let [x, y] = [i % side, i / side].map(|k| f64::from(k) / f64::from(side) - 0.48);
+        points.positions.push(DVec3::new(x, y, 0.0));
+        points.colors.push([250, 220, 120, 255]);
+        points.normals.push(Vec3::Z);
+    }
+    let files = [("p.ply", points.ply())];
+    let scene = json!({
+        "assets": { "p": { "file": "p.ply" } },
+        "nodes": [{ "asset": "p" }],
+        "background": "#000000",
+        "splats": { "lowpass": 2.5 },
+    });
+    let case = Case::new("antialias-samples", &files, &scene);
+    let view = look([0.1, 0.2, 3.0], [0.0; 3], 45.0);
+    for reconstruct in [Reconstruct::Points, Reconstruct::Splats, Reconstruct::Fuzzy] {
+        let [plain, fine] = [Antialias::Off, Antialias::Parts16].map(|antialias| {
+            let settings = Settings { antialias, ..Settings::drawn_as(reconstruct) };
+            mean(&case.draw_wide(&view, settings).color)
+        });
+        println!("{reconstruct:?}: {plain:.4}, of 16 parts {fine:.4}");
+        // A round point has π/4 of the light of a square one.
+        let least = if reconstruct == Reconstruct::Points { 0.7 } else { 0.95 };
+        assert!((least..1.05).contains(&(fine / plain)), "{reconstruct:?}: {fine} and {plain}");
+    }
+}
+
+/// The mean red of a picture, in linear light.
+fn mean(color: &[[u8; 4]]) -> f64 {
+    let linear = |pixel: &[u8; 4]| linear_from_srgb(f64::from(pixel[0]) / 255.0);
+    color.iter().map(linear).sum::<f64>() / color.len() as f64
+}
+
 /// Lengths in pixels are those of pixels, not of their parts.
 #[test]
 fn lengths_stay_what_they_are() {
     let case = case("antialias-lengths", "#000000", 0.004);
     let view = look([0.3, 0.4, 4.0], [0.0; 3], 45.0);
-    let mean = |settings: Settings| {
-        let frames = case.draw_with(&view, settings);
-        let linear = |pixel: &[u8; 4]| linear_from_srgb(f64::from(pixel[0]) / 255.0);
-        let sum: f64 = frames.color.iter().map(linear).sum();
-        sum / frames.color.len() as f64
-    };
     for base in [
         Settings { line_width_px: 3.0.into(), ..settings(Antialias::Off) },
         Settings {
@@ -123,7 +149,7 @@ fn lengths_stay_what_they_are() {
         },
     ] {
         let [plain, fine] = [Antialias::Off, Antialias::Parts16]
-            .map(|antialias| mean(Settings { antialias, ..base }));
+            .map(|antialias| mean(&case.draw_with(&view, Settings { antialias, ..base }).color));
         assert!((fine / plain - 1.0).abs() < 0.03, "{fine} and {plain}: {base:?}");
     }
 }

@@ -67,13 +67,17 @@ fn lights() -> Value {
 }
 
 fn case(name: &str, strands: &[Vec<Vertex>]) -> Case {
+    case_of(name, vtk(strands))
+}
+
+fn case_of(name: &str, file: Vec<u8>) -> Case {
     let scene = json!({
         "assets": { "l": { "file": "l.vtk" } },
         "materials": { "shiny": { "specular": [0.5, 0.5, 0.5], "shininess": 20 } },
         "nodes": [{ "asset": "l", "material": "shiny" }],
         "lights": lights(),
     });
-    Case::new(name, &[("l.vtk", vtk(strands))], &scene)
+    Case::new(name, &[("l.vtk", file)], &scene)
 }
 
 fn tolerance() -> Tolerance {
@@ -266,6 +270,21 @@ fn thin_lines_have_the_brightness_of_their_width() {
     }
 }
 
+/// Draws lines at least `px` pixels wide. Returns how many pixels differ from the reference, and how many it covers.
+pub fn compared(case: &Case, view: &View, px: f64) -> [usize; 2] {
+    let settings = Settings { line_width_px: px.into(), ..Settings::drawn_as(Reconstruct::Points) };
+    let frames = case.draw_with(view, settings);
+    let scene = OracleScene { least_line_px: px, ..case.reference.scene() };
+    let twin = oracle::render(&scene, view, 1);
+    let colors = twin.to_rgba8();
+    let differs = |i: &usize| {
+        let like = |c: usize| frames.color[*i][c].abs_diff(colors[*i][c]) <= 6;
+        frames.id[*i] != twin.id[*i] || !(0..4).all(like)
+    };
+    let differ = (0..colors.len()).filter(differs).count();
+    [differ, twin.id.iter().filter(|&&id| id != 0).count()]
+}
+
 /// Lines of no width of their own are as wide as a frame asks, near and far.
 #[test]
 fn lines_are_no_thinner_than_asked() {
@@ -274,22 +293,38 @@ fn lines_are_no_thinner_than_asked() {
         [look([0.0, 0.4, 4.0], [0.0; 3], 45.0), orthographic::look([3.0, 1.0, 2.0], [0.0; 3], 3.0)];
     for view in views {
         for px in [1.0, 3.0, 12.0] {
-            let settings =
-                Settings { line_width_px: px.into(), ..Settings::drawn_as(Reconstruct::Points) };
-            let frames = case.draw_with(&view, settings);
-            let scene = OracleScene { least_line_px: px, ..case.reference.scene() };
-            let twin = oracle::render(&scene, &view, 1);
-            let colors = twin.to_rgba8();
-            let differs = |i: &usize| {
-                let like = |c: usize| frames.color[*i][c].abs_diff(colors[*i][c]) <= 6;
-                frames.id[*i] != twin.id[*i] || !(0..4).all(like)
-            };
-            let differ = (0..colors.len()).filter(differs).count();
-            let covered = twin.id.iter().filter(|&&id| id != 0).count();
+            let [differ, covered] = compared(&case, &view, px);
             println!("{px} px: {differ} of {covered} covered pixels differ");
             // Strips of one pixel have square ends where tubes have round ones, and the columns of their own direction.
             let share = if px == 1.0 { 3 } else { 50 };
             assert!(covered > 700 && differ * share < covered, "{px}: {differ} of {covered}");
+        }
+    }
+}
+
+/// A segment that passes beside the eye is as wide near the eye as far away, and the eye is not inside of it.
+#[test]
+fn least_widths_hold_where_a_line_passes_the_camera_plane() {
+    let view = look([0.0; 3], [0.0, 0.0, -1.0], 60.0);
+    for (name, beside, ribbon) in
+        [("tube", 0.3, false), ("far tube", 40.0, false), ("ribbon", 0.3, true)]
+    {
+        let strand: Vec<Vertex> = [1000.0, -1000.0]
+            .map(|z| (DVec3::new(beside, 0.1 * beside, z), 1e-4, [255; 3]))
+            .to_vec();
+        let files = match ribbon {
+            true => ribbons(&[strand], &[DVec3::new(-1.0, -0.1, 0.0); 2]),
+            false => vtk(&[strand]),
+        };
+        let case = case_of(&format!("passing-{}", name.replace(' ', "-")), files);
+        for px in [1.0, 4.0] {
+            let [differ, covered] = compared(&case, &view, px);
+            println!("{name}, {px} px: {differ} of {covered} covered pixels differ");
+            // From the vanishing point in the middle to the right border.
+            let expected = px * f64::from(view.width) * 0.5;
+            let share = covered as f64 / expected;
+            assert!((0.75..1.3).contains(&share), "{name}, {px} px: {covered} of {expected}");
+            assert!(differ * 20 < covered.max(20), "{name}, {px} px: {differ} of {covered}");
         }
     }
 }

@@ -1,9 +1,8 @@
 //! The committed scenes, as users see them.
 
-use pointillist::oracle::{self, OracleScene};
-use pointillist::plan::{Reconstruct, Settings};
 use serde_json::Value;
 
+use super::lines::compared;
 use super::stage::{Case, folder, look};
 use super::verdict::Tolerance;
 
@@ -38,16 +37,7 @@ fn textured() {
 fn neurons() {
     let case = Case::committed("neurons");
     for camera in ["front", "detail"] {
-        let view = case.view(camera, 200, 150);
-        let settings =
-            Settings { line_width_px: 3.0.into(), ..Settings::drawn_as(Reconstruct::Points) };
-        let frames = case.draw_with(&view, settings);
-        let scene = OracleScene { least_line_px: 3.0, ..case.reference.scene() };
-        let twin = oracle::render(&scene, &view, 1);
-        let colors = twin.to_rgba8();
-        let is_like = |i: &usize| (0..4).all(|c| frames.color[*i][c].abs_diff(colors[*i][c]) <= 6);
-        let covered = twin.id.iter().filter(|&&id| id != 0).count();
-        let differ = (0..colors.len()).filter(|i| !is_like(i)).count();
+        let [differ, covered] = compared(&case, &case.view(camera, 200, 150), 3.0);
         println!("neurons, {camera}: {differ} of {covered} covered pixels differ");
         assert!(covered > 1000 && differ * 100 < covered, "{differ} of {covered}");
     }

@@ -6,7 +6,10 @@ use crate::plan::{self, AdapterFacts, Given, Output, SceneFacts, SettingKind};
 use crate::scene::Splats;
 
 fn drawing(settings: &Settings) -> Drawing {
-    let counts = Counts { samples: 1, segments: 1, chunks: 1, ..Counts::default() };
+    drawing_of(Counts { samples: 1, segments: 1, chunks: 1, ..Counts::default() }, settings)
+}
+
+fn drawing_of(counts: Counts, settings: &Settings) -> Drawing {
     let scene = SceneFacts { counts, lights: 1, trees: true, ..Default::default() };
     let adapter = AdapterFacts::default();
     let box_from_world = DAffine3::IDENTITY;
@@ -56,4 +59,13 @@ fn settings_without_effect_leave_drawings_equal() {
     assert_eq!(drawing(&fine), drawing(&points), "full detail accepts no error");
     let trees = |settings: Settings| drawing(&Settings { lod: plan::Lod::Spt, ..settings });
     assert_ne!(trees(fine), trees(points));
+}
+
+/// Films draw all frames as the first one was decided.
+#[test]
+fn how_samples_are_drawn_stays_decided_where_there_are_none() {
+    let counts = Counts { triangles: 1, chunks: 1, ..Counts::default() };
+    let drawing = drawing_of(counts, &Settings::drawn_as(plan::Reconstruct::Points));
+    assert!(!drawing.settings.leaves_drawing_open());
+    assert!(drawing.applied.reconstruct.is_none(), "it has no effect");
 }

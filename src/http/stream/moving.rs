@@ -90,7 +90,9 @@ pub fn wanted(
         request.format = ImageFormat::Jpeg;
         request.quality = pace.jpeg_quality.min(most);
     }
-    let facts = |request: &FrameRequest| (request.width, request.height, Made::of(request));
+    let facts = |request: &FrameRequest| {
+        (request.width, request.height, request.parts(), Made::of(request))
+    };
     let as_asked = facts(&request) == facts(&still);
     let quality = if as_asked { Quality::Still } else { Quality::Moving };
     Ok(Wanted { request, quality, scale })

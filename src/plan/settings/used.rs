@@ -35,7 +35,7 @@ pub struct UsedSettings {
     pub splats: Option<UsedSplats>,
 }
 
-/// What the scene says of its splats.
+/// Parameters of splats that the scene gives.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, utoipa::ToSchema)]
 #[schema(as = Splats)]
 pub struct UsedSplats {

@@ -106,6 +106,13 @@ impl Settings {
         Settings { line_width_px: self.line_width_px.decided(scene.sparse_lines), ..*self }
     }
 
+    /// The settings with antialiasing decided: colours alone are averaged.
+    #[must_use]
+    pub fn with_antialias_decided(&self, output: Output) -> Settings {
+        let antialias = if output == Output::Color { self.antialias } else { Antialias::Off };
+        Settings { antialias, ..*self }
+    }
+
     /// Parts along each side of a pixel.
     pub fn parts(&self) -> u32 {
         match self.antialias {
@@ -179,12 +186,12 @@ impl Settings {
         self.point_size_px != PointSizePx::default() || self.point_size.get() > 0.0
     }
 
-    /// Discs that samples are drawn as; `None` for splats and for points of one pixel. Nodes of point trees that may be larger than a
-    /// pixel are discs as well, of the size of what they stand for.
+    /// Discs that samples are drawn as; `None` for splats and for points of one pixel. Points that cover several parts of a pixel, and
+    /// nodes of point trees that may be larger than a pixel, are discs as well.
     pub fn discs(&self) -> Option<Discs> {
         let (diameter_px, diameter) = (self.point_size_px.get(), self.point_size.get());
         let has_large_nodes = self.draws_trees() && self.accepted_px() > 1.0;
-        let is_larger = self.has_point_size() || has_large_nodes;
+        let is_larger = self.has_point_size() || has_large_nodes || self.parts() > 1;
         (self.draws_points() && is_larger).then_some(Discs { diameter_px, diameter })
     }
 
@@ -221,8 +228,12 @@ impl Settings {
         let map = self.color_map;
         let within = |[least, most]: [f64; 2]| {
             let own = [self.color_least, self.color_most];
-            let [own_least, own_most] = own.map(|bound| bound.map(ColorBound::get));
-            [own_least.unwrap_or(least), own_most.unwrap_or(most)]
+            // A bound that is not given makes way for one beyond it.
+            match own.map(|bound| bound.map(ColorBound::get)) {
+                [Some(own), None] => [own, most.max(own)],
+                [None, Some(own)] => [least.min(own), own],
+                [own_least, own_most] => [own_least.unwrap_or(least), own_most.unwrap_or(most)],
+            }
         };
         match self.color_by {
             ColorBy::Colors | ColorBy::Levels => None,

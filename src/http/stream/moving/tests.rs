@@ -40,6 +40,10 @@ fn what_is_as_good_as_asked_is_still() {
     assert_eq!(moving("w=64&h=64&quality=50", 1.0).quality, Quality::Still);
     assert_eq!(moving("w=64&h=64&quality=90", 1.0).quality, Quality::Moving);
     assert_eq!(moving("w=64&h=64&format=png", 1.0).quality, Quality::Moving);
+    // The still frame has smooth edges.
+    assert_eq!(moving("w=64&h=64&format=raw&antialias=4x", 0.25).quality, Quality::Moving);
+    let depths = moving("w=64&h=64&format=raw&output=depth&antialias=4x", 0.25);
+    assert_eq!(depths.quality, Quality::Still);
     // Full detail has no error that could grow.
     assert_eq!(coarse("w=64&h=64&format=raw", 0.25, 4.0).quality, Quality::Still);
     assert_eq!(coarse("w=64&h=64&format=raw&lod=spt", 0.25, 4.0).quality, Quality::Moving);
