@@ -375,12 +375,7 @@ fn full_of(setting: usize) -> usize {
 
 fn file(name: &str, kind: Kind, count: u64) -> anyhow::Result<PathBuf> {
     let count = pick(count, count / 10);
-    let parameters = Parameters {
-        seed: 7,
-        points: Some(count),
-        triangles: Some(count),
-        ..Parameters::default()
-    };
+    let parameters = Parameters { seed: 7, ..Parameters::of_size(kind, count) };
     files::generated(&format!("audit-{name}-{count}.ply"), kind, &parameters)
 }
 

@@ -100,14 +100,8 @@ pub fn crowd(side: u32) -> anyhow::Result<PathBuf> {
     let (mut assets, mut nodes) = (Map::new(), Vec::new());
     for (index, (name, kind, seed)) in KINDS.into_iter().enumerate() {
         let count = super::pick(10_000, 1_000) * (1 + seed);
-        let parameters = Parameters {
-            seed,
-            points: Some(count),
-            triangles: Some(count),
-            size: Some(1.0 + 0.08 * seed as f64),
-            count: None,
-            form: None,
-        };
+        let size = Some(1.0 + 0.08 * seed as f64);
+        let parameters = Parameters { seed, size, ..Parameters::of_size(kind, count) };
         let file = format!("small-{name}-{seed}-of-{count}.ply");
         generated(&file, kind, &parameters)?;
         let asset = format!("{name} {seed}");

@@ -1,5 +1,6 @@
 // Computes the exclusive prefix sum of the groups' counts, in one workgroup a view, then each segment's run of visible slots
-// and an indirect dispatch large enough for the longest run among the views.
+// and an indirect dispatch large enough for the longest run among the views. With occlusion culling, decides which slots are drawn first, and in
+// how many turns the others are asked whether they are hidden.
 //!include shared/frame
 //!include shared/scene
 
@@ -18,10 +19,58 @@ override HIDES: bool = false;
 // Slots are near until they cover the rows that they occupy this many times.
 const NEAR_LAYERS: f32 = 2.0;
 
+// Time of drawing an element of a slot, in units of what a turn takes for each pixel of the image.
+override ELEMENT_COST: u32 = 40u;
+// Only samples are drawn, each a pixel: they hide nothing where they leave gaps.
+override POINTS: bool = false;
+// Elements of most slots.
+const ELEMENTS_EACH: f32 = 1024.0;
+// Pixels of the image that have to be covered for a box to be hidden.
+const TESTED_PX: f32 = 64.0;
+
 // How many times the slots of one depth bin cover the rows that they occupy.
 fn layers_of(at: u32) -> f32 {
     let rows = max(depths[at + DEPTH_TOPS] + depths[at + DEPTH_BOTTOMS], frame.size_px.y + 1u) - frame.size_px.y;
     return f32(depths[at]) / f32(COVER_ONE) * f32(frame.size_px.y) / f32(rows);
+}
+
+// The number of turns in which to ask what is hidden; none where asking takes longer than drawing what could be hidden. `covered_px`: sum of the areas
+// of all slots' boxes; `behind`: layers that are not near.
+fn worthwhile_turns(slots: f32, covered_px: f32, layers: f32, behind: f32) -> u32 {
+    let elements = slots * ELEMENTS_EACH;
+    var closed = 1.0;
+    if POINTS {
+        let each_px = NEAR_LAYERS * elements / max(covered_px, 1.0);
+        closed = pow(1.0 - exp(-each_px), TESTED_PX);
+    }
+    let turns = clamp(ceil(2.0 * behind), 1.0, f32(TURNS));
+    let most_saved = closed * elements * behind / max(layers, 1.0) * f32(ELEMENT_COST);
+    return select(u32(turns), 0u, most_saved < turns * f32(frame.size_px.x) * f32(frame.size_px.y));
+}
+
+// Finds where near ends among the depth bins, and each of the turns that ask what is hidden.
+fn find_turns(slots: u32) {
+    let first = frame.view * DEPTHS_WORDS;
+    var layers = 0.0;
+    var covered = 0.0;
+    for (var bin = 0u; bin < DEPTH_BINS; bin++) {
+        layers += layers_of(first + bin);
+        covered += f32(depths[first + bin]) / f32(COVER_ONE);
+    }
+    let behind = max(layers - NEAR_LAYERS, 0.0);
+    let turns = worthwhile_turns(f32(slots), covered * f32(frame.size_px.x) * f32(frame.size_px.y), layers, behind);
+    var bin = 0u;
+    layers = 0.0;
+    for (var turn = 0u; turn <= TURNS; turn++) {
+        // Later turns hold more slots, because much of the far scene is hidden.
+        let share = f32(turn) / f32(max(turns, 1u));
+        let end = NEAR_LAYERS + behind * share * share;
+        while bin < DEPTH_BINS && (layers < end || turn >= turns) {
+            layers += layers_of(first + bin);
+            bin++;
+        }
+        depths[first + DEPTH_ENDS + turn] = bin;
+    }
 }
 
 var<workgroup> partial: array<u32, 64>;
@@ -29,27 +78,6 @@ var<workgroup> partial: array<u32, 64>;
 @compute @workgroup_size(64)
 fn scan(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     begin_view(group.z);
-    if HIDES && lane == 0u {
-        let first = frame.view * DEPTHS_WORDS;
-        var layers = 0.0;
-        for (var bin = 0u; bin < DEPTH_BINS; bin++) {
-            layers += layers_of(first + bin);
-        }
-        let behind = max(layers - NEAR_LAYERS, 0.0);
-        var bin = 0u;
-        layers = 0.0;
-        for (var turn = 0u; turn < TURNS; turn++) {
-            // Later turns hold more slots, because much of the far scene is hidden.
-            let share = f32(turn) / f32(TURNS);
-            let end = NEAR_LAYERS + behind * share * share;
-            while bin < DEPTH_BINS && layers < end {
-                layers += layers_of(first + bin);
-                bin++;
-            }
-            depths[first + DEPTH_ENDS + turn] = bin;
-        }
-        depths[first + DEPTH_ENDS + TURNS] = DEPTH_BINS;
-    }
     let base = frame.first_group;
     let share = (sizes.group_count + 63u) / 64u;
     let first = min(lane * share, sizes.group_count);
@@ -72,6 +100,9 @@ fn scan(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     // The last workgroup's end is the total; the array has one element more than there are groups.
     if lane == 63u {
         group_counts[base + sizes.group_count] = running;
+        if HIDES {
+            find_turns(running);
+        }
     }
     storageBarrier();
     workgroupBarrier();

@@ -43,7 +43,7 @@ struct Strip {
     // How far it reaches beyond its ends.
     before: f32,
     behind: f32,
-    // At the ends of the cut segment: depth, width in pixels over the divisor, share of the whole segment.
+    // At the ends of the strip: depth, width in pixels over the divisor, share of the line.
     z: vec2<f32>,
     width: vec2<f32>,
     share: vec2<f32>,
@@ -239,15 +239,20 @@ fn strip_widths(strip: Strip) -> vec2<f32> {
     return vec2<f32>(min(p, q), max(p, q));
 }
 
+// Share of the whole segment that a strip shows.
+fn whole_share(line: Line, strip: Strip) -> f32 {
+    return max((strip.share.y - strip.share.x) * (line.range.y - line.range.x), 1e-6);
+}
+
 // The key of a place along a strand, from 0 to 1: strands differ by a hash, segments and the parts of a segment by steps of Martin Roberts' R2
 // sequence. A part is half a pixel to a pixel long.
-fn strip_key(line: Line, strip: Strip, inner: f32, share: f32, z: f32) -> f32 {
-    var pixels = strip.length;
+fn strip_key(line: Line, strip: Strip, share: f32, z: f32) -> f32 {
+    var pixels = strip.length / whole_share(line, strip);
     if !ORTHOGRAPHIC {
         pixels *= strip.z.x * strip.z.y / (z * z);
     }
-    let parts = exp2(clamp(ceil(log2(max(pixels / max(strip.share.y - strip.share.x, 1e-6), 1.0))), 0.0, 22.0));
-    let part = u32(clamp(share, 0.0, 1.0) * parts);
+    let parts = exp2(clamp(ceil(log2(max(pixels, 1.0))), 0.0, 22.0));
+    let part = u32(clamp(mix(line.range.x, line.range.y, share), 0.0, 1.0) * parts);
     let key = (line.link & LINE_HASH) + line.number * 2447445414u + part * 3242174889u;
     return f32(key >> 8u) * 5.9604645e-8;
 }
@@ -272,7 +277,7 @@ fn meet_strip(line: Line, strip: Strip, pixel: vec2<f32>) -> LineHit {
     let z = mix(strip.z.x, strip.z.y, inner);
     let width_px = mix(strip.width.x, strip.width.y, inner) / divisor(z);
     let share = mix(strip.share.x, strip.share.y, inner);
-    if width_px >= 1.0 || !(strip_key(line, strip, inner, share, z) < WHOLE * width_px) {
+    if width_px >= 1.0 || !(strip_key(line, strip, share, z) < WHOLE * width_px) {
         return hit;
     }
     hit.z = z;

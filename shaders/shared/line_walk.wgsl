@@ -60,12 +60,12 @@ fn bound_centres(bounds: ptr<function, LineBounds>, least: vec2<f32>, most: vec2
 fn is_left_out(seen: SeenLine) -> bool {
     let strip = seen.strip;
     let near = min(strip.z.x, strip.z.y);
-    var pixels = strip.length / max(strip.share.y - strip.share.x, 1e-6);
+    var pixels = strip.length / whole_share(seen.line, strip);
     if !ORTHOGRAPHIC {
         pixels *= max(strip.z.x, strip.z.y) / near;
     }
-    let start = strip_key(seen.line, strip, 0.0, 0.0, near);
-    let end = strip_key(seen.line, strip, 1.0, 1.0, near);
+    let start = strip_key(seen.line, strip, 0.0, near);
+    let end = strip_key(seen.line, strip, 1.0, near);
     return pixels < 0.99 && min(start, end) > 1.001 * seen.widths.y;
 }
 

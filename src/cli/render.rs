@@ -1,7 +1,8 @@
 //! `pointillist render`: draws one frame with the engine that the daemon uses.
 
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::sync::mpsc;
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::Args;
@@ -37,6 +38,8 @@ pub struct RenderArgs {
 
 /// Time of a frame, in ns, that may be one of compiling: lavapipe compiles when it draws.
 const LONG_NS: u64 = 4_000_000_000;
+/// Wait after which a word tells why.
+const LONG_WAIT: Duration = Duration::from_secs(5);
 
 fn format_of(file: &Path) -> anyhow::Result<ImageFormat> {
     let extension = file.extension().unwrap_or_default().to_string_lossy();
@@ -75,10 +78,12 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
         say!("warning: {warning}");
     }
     let loaded = begin.elapsed();
+    let drawn = tell_of_long_waits();
     let mut frames = Vec::with_capacity(args.repeat as usize);
     for _ in 0..args.repeat {
         frames.push(engine.submit(request.clone())?.wait()?);
     }
+    drop(drawn);
     frames.sort_by_key(|frame| frame.receipt.total_ns);
     let median: &EncodedFrame = &frames[(frames.len() - 1) / 2];
     if args.is_to_stdout() {
@@ -105,6 +110,19 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
         );
     }
     Ok(())
+}
+
+/// Says once why a frame takes long, unless the result is dropped before.
+fn tell_of_long_waits() -> mpsc::Sender<()> {
+    let (drawn, waits) = mpsc::channel();
+    std::thread::spawn(move || {
+        if waits.recv_timeout(LONG_WAIT) == Err(mpsc::RecvTimeoutError::Timeout) {
+            say!(
+                "drawing; a driver compiles shaders that it has not seen before, which can take half a minute once"
+            );
+        }
+    });
+    drawn
 }
 
 /// The numbers of samples, triangles, segments and instances, in words.

@@ -56,7 +56,7 @@ pub struct Drawing {
     pub plan: FramePlan,
     /// Settings that affect the frame, with what the scene adds to them.
     pub applied: Given,
-    /// `applied`, with defaults for all others: frames that are drawn alike have equal settings.
+    /// `applied`, with how samples are drawn, and with defaults for all others: frames that are drawn alike have equal settings.
     pub settings: Settings,
     /// Reason for not drawing as requested.
     pub instead_because: Option<&'static str>,
@@ -106,7 +106,7 @@ impl Drawing {
     ) -> Drawing {
         let settled = settings.settled(&reconstruction);
         let applied = settled.affecting(scene, output);
-        // How samples are drawn has no effect where a view has none, but other frames of a film draw them likewise.
+        // Without samples it has no effect how they are drawn, but the other frames of a film draw them likewise.
         let settings = Settings::from(applied).drawn_like(&settled);
         let (edl, is_averaged) = (settings.eye_dome(), settings.parts() > 1);
         let frame = FrameFacts { output, reconstruction, edl, is_averaged };

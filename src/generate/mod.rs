@@ -59,6 +59,46 @@ pub enum Kind {
     Sphere,
 }
 
+impl Parameters {
+    /// Parameters for about so many points or triangles, whichever the kind is made of.
+    pub fn of_size(kind: Kind, count: u64) -> Parameters {
+        let of = |name| kind.parameters().contains(&name).then_some(count);
+        Parameters { points: of("points"), triangles: of("triangles"), ..Parameters::default() }
+    }
+}
+
+impl Kind {
+    /// Names of the parameters that the kind has beside the seed.
+    fn parameters(self) -> &'static [&'static str] {
+        match self {
+            Kind::Town | Kind::Statue | Kind::Checkerboard | Kind::CsgPart => &["points", "size"],
+            Kind::Relief | Kind::Textured | Kind::Sphere => &["triangles", "size"],
+            Kind::Plaza | Kind::Cube => &["size"],
+            Kind::Hard => &[],
+            Kind::Tree | Kind::Grove => &["triangles", "size", "count", "form"],
+            Kind::Neurons | Kind::Tracts => &["count", "size"],
+        }
+    }
+}
+
+/// Refuses parameters that the kind does not have.
+fn check(kind: Kind, parameters: &Parameters) -> Result<(), GenerateError> {
+    let given = [
+        ("points", parameters.points.is_some()),
+        ("triangles", parameters.triangles.is_some()),
+        ("size", parameters.size.is_some()),
+        ("count", parameters.count.is_some()),
+        ("form", parameters.form.is_some()),
+    ];
+    let known = kind.parameters();
+    let is_unknown = |(name, is_given): &(&str, bool)| *is_given && !known.contains(name);
+    let Some((parameter, _)) = given.into_iter().find(is_unknown) else { return Ok(()) };
+    let accepted: Vec<String> =
+        known.iter().chain(&["seed"]).map(|name| format!("--{name}")).collect();
+    let reason = format!("this kind has no such option; it has {}", accepted.join(", "));
+    Err(GenerateError::Parameter { parameter, reason })
+}
+
 /// Parameters of generators; `None` is the kind's default.
 #[derive(Clone, Debug, Default)]
 pub struct Parameters {
@@ -128,6 +168,7 @@ pub fn generate(
     parameters: &Parameters,
     progress: &Progress,
 ) -> Result<Generated, GenerateError> {
+    check(kind, parameters)?;
     let Parameters { seed, points, triangles, size, count, form } = *parameters;
     let length = |default: f64| within("size", size, default, 1e-3, 1e6);
     let corners = |default: u64| within("triangles", triangles, default, 100, 20_000_000);
@@ -200,6 +241,7 @@ pub fn generate_scene(
             reason: "`hard` makes many scenes: name a folder".to_owned(),
         });
     }
+    check(kind, parameters)?;
     if kind == Kind::Plaza {
         let count = plaza_count(parameters.size)?;
         return Ok(scenes::plaza(name, count, parameters.seed, progress));

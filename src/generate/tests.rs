@@ -171,6 +171,13 @@ fn refusals_name_the_parameter_and_the_format() {
         (Kind::Town, with(None, None, Some(f64::NAN)), "size"),
         (Kind::Relief, with(None, Some(1), None), "triangles"),
         (Kind::Cube, with(None, None, Some(-1.0)), "size"),
+        (
+            Kind::Cube,
+            with(Some(9), None, None),
+            "points: this kind has no such option; it has --size, --seed",
+        ),
+        (Kind::Town, with(None, Some(9), None), "triangles"),
+        (Kind::Hard, with(None, None, Some(1.0)), "size"),
     ] {
         let error = generate(kind, &parameters, &none).unwrap_err().to_string();
         assert!(error.starts_with(name), "{kind:?}: {error}");
@@ -189,12 +196,13 @@ fn every_kind_makes_a_scene() {
     let folder = tempfile::tempdir().unwrap();
     use clap::ValueEnum;
     for kind in Kind::value_variants().iter().filter(|kind| **kind != Kind::Hard) {
+        let has = |name| kind.parameters().contains(&name);
         let parameters = Parameters {
             seed: 2,
-            points: Some(2_000),
-            triangles: Some(3_000),
+            points: has("points").then_some(2_000),
+            triangles: has("triangles").then_some(3_000),
             size: matches!(kind, Kind::Town).then_some(60.0),
-            count: Some(30),
+            count: has("count").then_some(30),
             form: None,
         };
         let made = generate_scene(*kind, "it", &parameters, &Progress::none()).unwrap();

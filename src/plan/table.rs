@@ -168,7 +168,7 @@ reasons! {
     RASTERISES: "the adapter's rasteriser draws large triangles", |f| f.adapter.rasterises;
     WALKS: "the adapter's rasteriser is slower than walk_triangles", |f| !f.adapter.rasterises;
     AS_POINTS: "samples are drawn as points", |f| f.frame.reconstruction.is_points();
-    AS_DISCS: "samples are drawn larger than a pixel", |f| f.frame.reconstruction.discs().is_some();
+    AS_DISCS: "samples are drawn as discs", |f| f.frame.reconstruction.discs().is_some();
     AS_SPLATS: "samples are drawn as splats",
         |f| f.frame.reconstruction.is_splats() && f.frame.reconstruction.pull_push().is_none();
     OPAQUE: "splats are not blended", |f| f.frame.reconstruction.weighted().is_none();

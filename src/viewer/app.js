@@ -46,7 +46,7 @@ function fullSize() {
   const ratio = window.devicePixelRatio || 1;
   const w = Math.max(1, Math.round(canvas.clientWidth * ratio)), h = Math.max(1, Math.round(canvas.clientHeight * ratio));
   // The limits hold for the parts of pixels: 4 or 16 of each with antialiasing.
-  const parts = parseInt(settings.value('antialias'), 10) || 1;
+  const parts = settings.value('output') === 'color' ? parseInt(settings.value('antialias'), 10) || 1 : 1;
   const shrink = Math.min(1, limits.max_side / Math.sqrt(parts) / Math.max(w, h), Math.sqrt(limits.max_pixels / parts / (w * h)));
   return [Math.max(1, Math.floor(w * shrink)), Math.max(1, Math.floor(h * shrink))];
 }

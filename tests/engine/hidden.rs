@@ -234,3 +234,37 @@ fn a_wall_hides_what_is_behind_it() {
     let (walled, open) = (tested("walled"), tested("open"));
     assert!(open > 100_000 && walled < open / 4, "{walled} of {open}");
 }
+
+/// Dense points hide what is behind them. Points with gaps between them hide nothing, so nothing is asked there.
+#[test]
+fn points_with_gaps_between_them_are_drawn_without_asking() {
+    let [hides, draws] = [false, true].map(|draw_hidden| {
+        let studio = Studio::with(|config| config.draw_hidden = draw_hidden);
+        let side = 280;
+        let sheet = (0..side * side).map(|i| {
+            let [x, y] = [i % side, i / side].map(|k| f64::from(k) / f64::from(side) - 0.5);
+            (DVec3::new(4.0 * x, 3.0 * y, 0.0), [(i % 251) as u8, 90, 120])
+        });
+        studio.write("sheet.ply", cloud(sheet));
+        studio.load_json(
+            "sheets",
+            &json!({
+                "assets": { "sheet": { "file": "sheet.ply" } },
+                "nodes": [{ "asset": "sheet", "repeat": { "grid": [1, 1, 8], "step": [1, 1, -0.02] } }],
+            }),
+        );
+        studio
+    });
+    let lens = Lens::Perspective { fov_deg: 40.0 };
+    let camera = Camera { eye: DVec3::new(0.0, 0.0, 4.0), target: DVec3::ZERO, up: DVec3::Y, lens };
+    for (width, height, asks) in [(160, 120, true), (960, 720, false)] {
+        let settings = Settings { edl: Edl::Off, ..Settings::drawn_as(Reconstruct::Points) };
+        let pose = Pose::Camera(camera);
+        let request = FrameRequest { pose, settings, ..front("sheets", width, height) };
+        let [found, all] = [&hides, &draws].map(|studio| studio.frame(&request));
+        same(&found.bytes, &all.bytes, &format!("{width} × {height}"));
+        let [tested, of] = [&found, &all].map(|frame| frame.receipt.samples.tested.unwrap());
+        assert_eq!(2 * tested < of, asks, "{width} × {height}: {tested} of {of}");
+        assert!(asks || tested == of, "{width} × {height}: {tested} of {of}");
+    }
+}

@@ -45,12 +45,7 @@ fn seen(scene: &str, number: u32, distance: f64, side: u32) -> FrameRequest {
 
 /// Writes a sculpture of points or triangles as `statue.ply`.
 fn sculpture(studio: &Studio, kind: Kind, size: u64) {
-    let parameters = Parameters {
-        seed: 3,
-        points: (kind == Kind::Statue).then_some(size),
-        triangles: (kind == Kind::Relief).then_some(size),
-        ..Parameters::default()
-    };
+    let parameters = Parameters { seed: 3, ..Parameters::of_size(kind, size) };
     let generated = generate(kind, &parameters, &Progress::none()).unwrap();
     write(&generated, &studio.folder().join("statue.ply")).unwrap();
 }

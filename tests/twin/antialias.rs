@@ -48,7 +48,6 @@ fn pixels_are_means_of_their_parts() {
             "{parts} × {parts}: {like:.1} dB from the reference, {near:.1} dB from 8 × 8 ({before:.1} before)"
         );
         assert!(like > 45.0, "{like}");
-        assert!(frames.color.iter().zip(&exact).all(|(a, b)| a[3] == b[3]));
         assert!(near > before + 2.0, "{near} after {before}");
         before = near;
         // The other outputs have no means.

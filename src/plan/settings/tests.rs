@@ -167,7 +167,7 @@ fn backgrounds_are_read_as_they_are_written() {
         assert_eq!(given(&format!("background={written}")).background, Some(background));
     }
     let refused = Given::default().set_text("background", "blue").unwrap_err();
-    assert_eq!(refused.accepted(|_, _| String::new()), "transparent, #rrggbb or #rrggbbaa");
+    assert_eq!(refused.accepted(|_, _| String::new()), "transparent, #rgb, #rrggbb or #rrggbbaa");
 }
 
 /// Limits are checked before numbers are rounded to 32 bits, and numbers are told as they were given.
@@ -272,4 +272,26 @@ fn the_docs_list_what_is_declared() {
         std::fs::write(&file, page()).unwrap();
     }
     assert_eq!(std::fs::read_to_string(file).unwrap(), page(), "UPDATE=1 writes it anew");
+}
+
+#[test]
+fn a_bound_beyond_the_scene_keeps_the_direction_of_the_map() {
+    let range = |bounds: &[(&str, &str)], heights: [f64; 2]| {
+        let mut given = Given::default();
+        given.set_text("color_by", "height").unwrap();
+        for (name, value) in bounds {
+            given.set_text(name, value).unwrap();
+        }
+        let settings = given.resolve().unwrap();
+        match settings.recolor(glam::DVec3::Y, || heights, &[]) {
+            Some(crate::scene::recolor::Recolor::Height { range, .. }) => range,
+            other => panic!("{other:?}"),
+        }
+    };
+    assert_eq!(range(&[], [2.0, 10.0]), [2.0, 10.0]);
+    assert_eq!(range(&[("color_least", "4")], [2.0, 10.0]), [4.0, 10.0]);
+    assert_eq!(range(&[("color_least", "20")], [2.0, 10.0]), [20.0, 28.0]);
+    assert_eq!(range(&[("color_most", "-1")], [2.0, 10.0]), [-9.0, -1.0]);
+    assert_eq!(range(&[("color_most", "2")], [2.0, 2.0]), [1.0, 2.0]);
+    assert_eq!(range(&[("color_least", "1"), ("color_most", "9")], [2.0, 3.0]), [1.0, 9.0]);
 }

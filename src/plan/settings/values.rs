@@ -228,10 +228,11 @@ impl Settings {
         let map = self.color_map;
         let within = |[least, most]: [f64; 2]| {
             let own = [self.color_least, self.color_most];
-            // A bound that is not given makes way for one beyond it.
+            // A bound that is not given makes way for one beyond it, so that the range keeps its direction.
+            let extent = if most > least { most - least } else { 1.0 };
             match own.map(|bound| bound.map(ColorBound::get)) {
-                [Some(own), None] => [own, most.max(own)],
-                [None, Some(own)] => [least.min(own), own],
+                [Some(own), None] if own >= most => [own, own + extent],
+                [None, Some(own)] if own <= least => [own - extent, own],
                 [own_least, own_most] => [own_least.unwrap_or(least), own_most.unwrap_or(most)],
             }
         };
@@ -299,7 +300,7 @@ impl Background {
     pub(super) fn kind() -> SettingKind {
         SettingKind::Text {
             default: "the scene’s",
-            accepted: "transparent, #rrggbb or #rrggbbaa",
+            accepted: "transparent, #rgb, #rrggbb or #rrggbbaa",
             pattern: BACKGROUND_PATTERN.to_owned(),
             examples: &["transparent", "#000000", "#ffffff"],
         }
