@@ -113,8 +113,8 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
 }
 
 /// Says once why a frame takes long, unless the result is dropped before.
-fn tell_of_long_waits() -> mpsc::Sender<()> {
-    let (drawn, waits) = mpsc::channel();
+fn tell_of_long_waits() -> mpsc::SyncSender<()> {
+    let (drawn, waits) = mpsc::sync_channel(0);
     std::thread::spawn(move || {
         if waits.recv_timeout(LONG_WAIT) == Err(mpsc::RecvTimeoutError::Timeout) {
             say!(
