@@ -9,6 +9,11 @@
 @group(1) @binding(0) var<storage, read> line_vertices: array<u32>;
 @group(1) @binding(1) var<storage, read> line_segments: array<vec2<u32>>;
 
+// Some segments of the page are tubes.
+override TUBES: bool = true;
+// Some segments of the page are ribbons.
+override RIBBONS: bool = true;
+
 // Words of a vertex: grid position, sRGB8 colour, radius in cells, normal, direction of the width.
 const LINE_WORDS: u32 = 7u;
 const LINE_BEGINS: u32 = 0x100000u;
@@ -92,6 +97,13 @@ fn line_cell(word: u32) -> vec3<i32> {
     return vec3<i32>(bitcast<i32>(line_vertices[word]), bitcast<i32>(line_vertices[word + 1u]), bitcast<i32>(line_vertices[word + 2u]));
 }
 
+fn is_ribbon(words: vec2<u32>) -> bool {
+    if !RIBBONS || !TUBES {
+        return RIBBONS;
+    }
+    return line_vertices[words.x + 5u] != NO_NORMAL || line_vertices[words.y + 5u] != NO_NORMAL;
+}
+
 fn side_of(at: Placed, word: u32) -> vec3<f32> {
     let side = camera_of(at, octahedral_decode(line_vertices[word + 6u]));
     let size = length_of(side);
@@ -150,7 +162,7 @@ fn line_of(at: Placed, scale: f32, vertex_first: u32, index: u32) -> Line {
     line.ab = camera_of(at, vec3<f32>(b - a));
     line.radius = scale * vec2<f32>(bitcast<f32>(line_vertices[line.words.x + 4u]), bitcast<f32>(line_vertices[line.words.y + 4u]));
     line.range = vec2<f32>(0.0, 1.0);
-    line.is_ribbon = line_vertices[line.words.x + 5u] != NO_NORMAL || line_vertices[line.words.y + 5u] != NO_NORMAL;
+    line.is_ribbon = is_ribbon(line.words);
     if line.is_ribbon {
         line.side_a = side_of(at, line.words.x);
         line.side_b = side_of(at, line.words.y);

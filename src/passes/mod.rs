@@ -12,6 +12,7 @@
 mod bindings;
 mod frame;
 mod levels;
+mod lines;
 mod pipelines;
 mod prime;
 mod project;

@@ -474,8 +474,13 @@ impl PackedKind for PackedLines {
         holds(self.segments.iter().all(is_known), "a segment's vertex is in no strand")
     }
 
-    fn page(&self, _chunk: &PackedChunk) -> PageKind {
-        PageKind::plain(GeometryKind::Lines)
+    fn page(&self, chunk: &PackedChunk) -> PageKind {
+        let vertices = &self.vertices[chunk.vertices()];
+        PageKind {
+            tubes: vertices.iter().any(|words| words[5] == NO_NORMAL),
+            ribbons: vertices.iter().any(|words| words[5] != NO_NORMAL),
+            ..PageKind::plain(GeometryKind::Lines)
+        }
     }
 
     fn streams(_page: PageKind) -> Vec<Stream> {

@@ -469,10 +469,10 @@ impl PackedKind for PackedSamples {
 
     fn page(&self, chunk: &PackedChunk) -> PageKind {
         PageKind {
-            kind: GeometryKind::Samples,
             nodes: !self.nodes.is_empty(),
             clipped: chunk.first >= self.clipped_first(),
             value_words: value_words(&self.fields) as u8,
+            ..PageKind::plain(GeometryKind::Samples)
         }
     }
 

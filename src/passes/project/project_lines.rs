@@ -1,6 +1,7 @@
 //! Segments of a few pixels; longer and wider ones are listed.
 
 use crate::gpu::shader::ShaderError;
+use crate::passes::lines::line_constants;
 use crate::passes::recorder::{Call, Recorder};
 use crate::passes::shaders::Choices;
 
@@ -13,7 +14,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
             portion: recorder.portion(),
             ..Choices::default()
         },
-        constants: vec![lanes],
+        constants: [vec![lanes], line_constants(recorder, recorder.segment).to_vec()].concat(),
         segments: &[recorder.segment],
         launch: recorder.launch(),
     })

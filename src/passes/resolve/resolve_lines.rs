@@ -3,6 +3,7 @@
 use super::{choices, constants, light_constants, tiles};
 use crate::bake::pack::GeometryKind;
 use crate::gpu::shader::ShaderError;
+use crate::passes::lines::line_constants;
 use crate::passes::recorder::{Call, Recorder};
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
@@ -12,10 +13,13 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     if choices(recorder).kept && recorder.task.plan.lights_pixels {
         constants.extend(light_constants(recorder.scene.looks, recorder.scene.light_count));
     }
-    recorder.compute(Call {
-        choices: choices(recorder),
-        constants,
-        segments: &segments,
-        launch: tiles(recorder),
-    })
+    for segment in segments {
+        recorder.compute(Call {
+            choices: choices(recorder),
+            constants: [constants.clone(), line_constants(recorder, segment).to_vec()].concat(),
+            segments: &[segment],
+            launch: tiles(recorder),
+        })?;
+    }
+    Ok(())
 }
