@@ -241,6 +241,10 @@ fn strip_of(line: Line) -> Strip {
     if (line.link & LINE_ENDS) != 0u && range.y == 1.0 && !line.is_ribbon {
         strip.behind = LINE_CAP * strip.width.y / divisor(q.z);
     }
+    // Strips that are a pixel wide overlap, so that a line has no gaps where it bends within a pixel.
+    let overlap = select(0.0, 0.5, strip_widths(strip).x * WHOLE >= 1.0);
+    strip.before = max(strip.before, select(overlap, 0.0, (line.link & LINE_BEGINS) != 0u));
+    strip.behind = max(strip.behind, select(overlap, 0.0, (line.link & LINE_ENDS) != 0u));
     return strip;
 }
 

@@ -107,6 +107,9 @@ fn describe(generated: &Generated) -> String {
             plant.trunk.mesh.triangles.len()
         ),
         Generated::Scenes(scenes) => format!("{} scenes", scenes.len()),
-        Generated::Scene(scene) => format!("a scene with {} assets", scene.assets.len()),
+        Generated::Scene(scene) => match scene.assets.len() {
+            1 => "a scene with 1 asset".to_owned(),
+            assets => format!("a scene with {assets} assets"),
+        },
     }
 }

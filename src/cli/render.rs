@@ -38,6 +38,8 @@ pub struct RenderArgs {
 
 /// Time of a frame, in ns, that may be one of compiling: lavapipe compiles when it draws.
 const LONG_NS: u64 = 4_000_000_000;
+/// Time before a frame that is told.
+const LONG_ESTIMATE: Duration = Duration::from_millis(500);
 /// Wait after which a word tells why.
 const LONG_WAIT: Duration = Duration::from_secs(5);
 
@@ -84,6 +86,7 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
         frames.push(engine.submit(request.clone())?.wait()?);
     }
     drop(drawn);
+    let drawn_after = begin.elapsed() - loaded;
     frames.sort_by_key(|frame| frame.receipt.total_ns);
     let median: &EncodedFrame = &frames[(frames.len() - 1) / 2];
     if args.is_to_stdout() {
@@ -104,6 +107,11 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
         loaded.as_secs_f64(),
         summary(&median.receipt)
     );
+    let drawing: u64 = frames.iter().map(|frame| frame.receipt.total_ns).sum();
+    let waited = drawn_after.saturating_sub(Duration::from_nanos(drawing));
+    if waited > LONG_ESTIMATE {
+        say!("{:.1} s before that for normals, kernels or point trees", waited.as_secs_f64());
+    }
     if args.repeat == 1 && median.receipt.gpu_ns.is_some_and(|ns| ns > LONG_NS) {
         say!(
             "the driver may have compiled shaders meanwhile, which it does once; --repeat 3 tells the time without that"

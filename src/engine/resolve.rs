@@ -193,6 +193,9 @@ fn check_field(loaded: &Loaded, settings: &Settings) -> Result<(), EngineError> 
         parameter,
         reason,
         accepted: match &known[..] {
+            [] if parameter == "field" => {
+                "no field: the scene's samples have none, and those of lines cannot be shown".into()
+            }
             [] => "colors, levels, height, normal, instance: the scene has no scalar fields".into(),
             known => format!("{own}{}", known.join(", ")),
         },

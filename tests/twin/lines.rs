@@ -302,6 +302,37 @@ fn lines_are_no_thinner_than_asked() {
     }
 }
 
+/// A line that bends to and fro within a pixel is as closed as a smooth one.
+#[test]
+fn lines_of_a_pixel_have_no_gaps_where_they_bend_within_a_pixel() {
+    let mut random = SplitMix64::new(5);
+    let strand = (0..3000).map(|i| {
+        let place = DVec3::new(f64::from(i) / 300.0 - 5.0, random.range(-0.002, 0.002), 0.0);
+        (place, 1e-4, [255; 3])
+    });
+    let case = case("jagged", &[strand.collect()]);
+    let settings =
+        Settings { line_width_px: 1.0.into(), ..Settings::drawn_as(Reconstruct::Points) };
+    for eye in [[0.0, 0.013, 16.0], [2.0, -1.0, 14.0], [0.0, 0.0, 60.0]] {
+        let view = look(eye, [0.0; 3], 45.0);
+        let frames = case.draw_with(&view, settings);
+        let width = view.width as usize;
+        let covered: Vec<usize> = (0..width)
+            .map(|x| frames.id.iter().skip(x).step_by(width).filter(|&&id| id != 0).count())
+            .collect();
+        let first = covered.iter().position(|&count| count > 0).unwrap();
+        let last = covered.iter().rposition(|&count| count > 0).unwrap();
+        let empty = covered[first..last].iter().filter(|&&count| count == 0).count();
+        let mean = covered.iter().sum::<usize>() as f64 / (last + 1 - first) as f64;
+        println!(
+            "from {eye:?}: {empty} of {} columns are empty, {mean:.2} pixels each",
+            last - first
+        );
+        assert!(last - first > 30 && empty == 0, "{empty} from {eye:?}");
+        assert!(mean < 2.2, "{mean} from {eye:?}");
+    }
+}
+
 /// A segment that passes beside the eye is as wide near the eye as far away, and the eye is not inside of it.
 #[test]
 fn least_widths_hold_where_a_line_passes_the_camera_plane() {

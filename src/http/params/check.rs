@@ -43,7 +43,10 @@ impl FrameParams {
         if let Some(fov) = self.fov.filter(|fov| !(least..=most).contains(fov)) {
             return refused(
                 "fov",
-                format!("{fov:e} is out of range"),
+                match fov.abs() < 1e6 {
+                    true => format!("{fov} is out of range"),
+                    false => format!("{fov:e} is out of range"),
+                },
                 format!("{least} to {most} degrees"),
             );
         }
