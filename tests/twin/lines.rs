@@ -313,7 +313,7 @@ fn lines_of_a_pixel_have_no_gaps_where_they_bend_within_a_pixel() {
     let case = case("jagged", &[strand.collect()]);
     let settings =
         Settings { line_width_px: 1.0.into(), ..Settings::drawn_as(Reconstruct::Points) };
-    for eye in [[0.0, 0.013, 16.0], [2.0, -1.0, 14.0], [0.0, 0.0, 60.0]] {
+    for eye in [[0.0, 0.013, 16.0], [2.0, -1.0, 14.0], [0.0, 0.0, 30.0]] {
         let view = look(eye, [0.0; 3], 45.0);
         let frames = case.draw_with(&view, settings);
         let width = view.width as usize;
