@@ -53,6 +53,8 @@ struct Strip {
     width: vec2<f32>,
     share: vec2<f32>,
     is_seen: bool,
+    // No part is thinner than a pixel.
+    is_whole: bool,
 }
 
 // Two triangles: planes through the eye and the edges, and the planes that they lie in.
@@ -241,10 +243,11 @@ fn strip_of(line: Line) -> Strip {
     if (line.link & LINE_ENDS) != 0u && range.y == 1.0 && !line.is_ribbon {
         strip.behind = LINE_CAP * strip.width.y / divisor(q.z);
     }
-    // Strips that are a pixel wide overlap, so that a line has no gaps where it bends within a pixel.
-    let overlap = select(0.0, 0.5, strip_widths(strip).x * WHOLE >= 1.0);
-    strip.before = max(strip.before, select(overlap, 0.0, (line.link & LINE_BEGINS) != 0u));
-    strip.behind = max(strip.behind, select(overlap, 0.0, (line.link & LINE_ENDS) != 0u));
+    // Strips that are a pixel wide have round ends, which overlap: a line has no gaps where it bends within a pixel.
+    strip.is_whole = strip_widths(strip).x * WHOLE >= 1.0;
+    let overlap = select(0.0, 0.5, strip.is_whole);
+    strip.before = max(strip.before, select(overlap, 0.0, (line.link & LINE_BEGINS) != 0u && line.is_ribbon));
+    strip.behind = max(strip.behind, select(overlap, 0.0, (line.link & LINE_ENDS) != 0u && line.is_ribbon));
     return strip;
 }
 
@@ -283,6 +286,10 @@ fn meet_strip(line: Line, strip: Strip, pixel: vec2<f32>) -> LineHit {
     let x = dot(d, strip.along);
     let y = strip.along.x * d.y - strip.along.y * d.x;
     if !strip.is_seen || x < -strip.before || x >= strip.length + strip.behind || y < -0.5 || y >= 0.5 {
+        return hit;
+    }
+    let beyond = max(max(-x, x - strip.length), 0.0);
+    if strip.is_whole && beyond > 0.0 && beyond * beyond + y * y >= 0.25 {
         return hit;
     }
     let s = select(clamp(x / strip.length, 0.0, 1.0), 0.5, strip.length < 1e-6);
