@@ -141,7 +141,7 @@ fn resolve(column: Column) {
 @compute @workgroup_size(64)
 fn resolve_lines(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     begin_view(group.z);
-    let resolved = resolve_each(group, lane);
+    let resolved = resolve_each(group, lane, runs[frame.first_run + segment.index]);
     if resolved != 0u {
         atomicAdd(&stats[frame.view].pixels_of_segments, resolved);
     }

@@ -42,7 +42,7 @@ fn resolve(column: Column) {
 fn resolve_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     begin_view(group.z);
     // Runs of one chunk are short here: caching their common values costs more than it saves.
-    let resolved = resolve_each(group, lane);
+    let resolved = resolve_each(group, lane, runs[frame.first_run + segment.index]);
     if resolved != 0u {
         atomicAdd(&stats[frame.view].pixels_of_samples, resolved);
     }

@@ -3,7 +3,7 @@
 //!include shared/scene
 //!include shared/normals
 //!include shared/kept
-//!include shared/resolve
+//!include shared/resolve_each
 
 @group(0) @binding(5) var<storage, read> sums_0: array<vec2<u32>>;
 @group(0) @binding(6) var<storage, read> sums_1: array<vec2<u32>>;
@@ -31,9 +31,11 @@ fn blended_normal(sums: vec3<u32>, inverse_weight: f32, at: vec2<u32>) -> vec3<f
     return facing_normal(n, world_from_camera(towards(ray_through(pixel_centre(at)))));
 }
 
-fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
+fn resolve(column: Column) {
+    let pixel = column.pixel;
+    let at = column.at;
     var surface: Surface;
-    surface.slot = slot_of(word);
+    surface.slot = slot_of(column.word);
     if needs_id() {
         surface.id = instances[slots[frame.first_slot + surface.slot].instance].id;
         finish(pixel, at, surface);
@@ -43,7 +45,7 @@ fn resolve(pixel: u32, at: vec2<u32>, word: vec2<u32>) {
     let second = sums_1[pixel];
     let inverse_weight = 1.0 / max(f32(first.y), 1.0);
     // Splats count behind the nearest one as well: the offset is taken back.
-    surface.inverse_depth = bitcast<f32>(word.y & ~FACING_BITS);
+    surface.inverse_depth = bitcast<f32>(column.word.y & ~FACING_BITS);
     surface.depth_scale = 1.0;
     if needs_depth() {
         surface.depth_scale = fma(f32(second.y), 4294967296.0, f32(second.x)) / DEPTH_ONE * inverse_weight;
@@ -69,20 +71,7 @@ fn resolve_splats(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoca
     // Slots of samples precede all others.
     let last = runs[frame.first_run + max(frame.sample_segments, 1u) - 1u];
     let count = select(0u, last.first_slot + last.count, frame.sample_segments != 0u);
-    var column = column_begin(group, lane);
-    var resolved = 0u;
-    resolve_load(&column, 0u, count);
-    loop {
-        resolve_seek(&column, 0u, count);
-        if column_ends(column) {
-            break;
-        }
-        if column.mine {
-            resolve(column.pixel, column.at, column.word);
-            resolved++;
-        }
-        resolve_next(&column, 0u, count);
-    }
+    let resolved = resolve_each(group, lane, Run(0u, count));
     if resolved != 0u {
         atomicAdd(&stats[frame.view].pixels_of_samples, resolved);
     }

@@ -66,7 +66,7 @@ fn write_output(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocati
                 surface.color = lit_color(surface, column.at);
             }
             if EDL {
-                // What is too bright for the image has outlines as well.
+                // Outlines show on surfaces that are too bright for the image as well.
                 surface.color = min(surface.color, vec3<f32>(1.0)) * eye_dome(column.at, surface.inverse_depth);
             }
             pixels[column.pixel] = output_word(surface);

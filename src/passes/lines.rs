@@ -1,4 +1,4 @@
-//! What passes over lines have in common.
+//! Constants that all passes over lines have.
 
 use super::recorder::{Recorder, Segment};
 

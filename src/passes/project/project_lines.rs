@@ -8,13 +8,14 @@ use crate::passes::shaders::Choices;
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     // Threads that cannot vote would keep account of more rounds than they take.
     let lanes = if recorder.context.gpu.subgroups { recorder.lanes() } else { ("LANES", 64) };
+    let [tubes, ribbons] = line_constants(recorder, recorder.segment);
     recorder.compute(Call {
         choices: Choices {
             visibility: recorder.visibility(),
             portion: recorder.portion(),
             ..Choices::default()
         },
-        constants: [vec![lanes], line_constants(recorder, recorder.segment).to_vec()].concat(),
+        constants: vec![lanes, tubes, ribbons],
         segments: &[recorder.segment],
         launch: recorder.launch(),
     })
