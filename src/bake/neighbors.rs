@@ -20,11 +20,13 @@
 //! core and 0.35 s on two, where kiddo 6.3 takes 2.19 s and 0.81 s (`speed_against_kiddo` in the
 //! tests prints both). With normals and radii, 0.83 s on one core and 0.43 s on two.
 
+mod aabb;
 mod places;
 
 use std::cmp::Ordering;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
+use aabb::Aabb;
 use rayon::prelude::*;
 
 pub(super) use places::{AROUND, Near, Nearby, Places};
@@ -42,58 +44,6 @@ const GRAIN: f32 = 1.0 / (1u64 << 62) as f32;
 /// Subtrees with fewer points are built, and ranges with fewer leaves searched, on one thread.
 const SERIAL_POINTS: usize = 8192;
 const SERIAL_LEAVES: usize = 64;
-
-/// A box in tree coordinates.
-#[derive(Clone, Copy, Debug)]
-struct Aabb {
-    min: [f32; 3],
-    max: [f32; 3],
-}
-
-impl Aabb {
-    const EMPTY: Aabb = Aabb { min: [f32::INFINITY; 3], max: [f32::NEG_INFINITY; 3] };
-
-    fn of(items: &[Item]) -> Self {
-        items.iter().fold(Self::EMPTY, |bounds, item| Self {
-            min: std::array::from_fn(|axis| bounds.min[axis].min(item.position[axis])),
-            max: std::array::from_fn(|axis| bounds.max[axis].max(item.position[axis])),
-        })
-    }
-
-    fn union(&self, other: &Self) -> Self {
-        Self {
-            min: std::array::from_fn(|axis| self.min[axis].min(other.min[axis])),
-            max: std::array::from_fn(|axis| self.max[axis].max(other.max[axis])),
-        }
-    }
-
-    /// All of it is one place.
-    fn is_place(&self) -> bool {
-        self.min == self.max
-    }
-
-    fn longest_axis(&self) -> usize {
-        let extent: [f32; 3] = std::array::from_fn(|axis| self.max[axis] - self.min[axis]);
-        let longer = if extent[1] > extent[0] { 1 } else { 0 };
-        if extent[2] > extent[longer] { 2 } else { longer }
-    }
-
-    /// Squared distance between two boxes.
-    fn distance_squared(&self, other: &Self) -> f32 {
-        (0..3).fold(0.0, |sum, axis| {
-            let gap = (other.min[axis] - self.max[axis]).max(self.min[axis] - other.max[axis]);
-            sum + gap.max(0.0) * gap.max(0.0)
-        })
-    }
-
-    fn point(position: [f32; 3]) -> Self {
-        Self { min: position, max: position }
-    }
-
-    fn centre(&self) -> [f32; 3] {
-        std::array::from_fn(|axis| 0.5 * (self.min[axis] + self.max[axis]))
-    }
-}
 
 /// A point while the tree is built.
 #[derive(Clone, Copy, Debug)]

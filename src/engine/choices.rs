@@ -26,7 +26,7 @@ pub fn with_detail(
     }
     let counts = loaded.facts.counts;
     let drawn_as = |lod, has_samples| {
-        let settings = Settings { lod, ..settings.with_antialias_decided(request.output) };
+        let settings = Settings { lod, ..*settings };
         if !settings.leaves_drawing_open() {
             return settings;
         }

@@ -36,9 +36,9 @@ pub enum EngineError {
     OutOfGpuMemory { what: String, needed: u64, budget: u64 },
     #[error("{what} take {needed} bytes, of which this adapter binds {limit} at once")]
     OverBinding { what: &'static str, needed: u64, limit: u64 },
-    /// A limit of [`super::Limits`] was exceeded.
+    /// A limit of [`super::Limits`] was exceeded, by `parameter` of a request where one alone is too large.
     #[error("{found} is more than the limit of {limit} {what}")]
-    OverLimit { what: &'static str, found: u64, limit: u64 },
+    OverLimit { what: &'static str, found: u64, limit: u64, parameter: Option<&'static str> },
     /// A load was cancelled, or there is not enough host memory for it.
     #[error(transparent)]
     Interrupted(#[from] Interrupt),

@@ -205,6 +205,7 @@ impl Renderer {
                 what,
                 found: u64::from(found),
                 limit: u64::from(limit),
+                parameter: None,
             })
         };
         let (wanted, longest) = (stats.entries_wanted, stats.large_longest);
@@ -287,6 +288,7 @@ impl Renderer {
             what: "pixels to test for large triangles and splats",
             found: u64::from(units) * 4096,
             limit: u64::from(self.large_units_limit) * 4096,
+            parameter: None,
         })
     }
 

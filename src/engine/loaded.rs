@@ -129,7 +129,7 @@ fn unfold(
         next += run.members.len() as u64;
         if next - 1 > most {
             let (what, found) = ("instances", next - 1);
-            return Err(EngineError::OverLimit { what, found, limit: most });
+            return Err(EngineError::OverLimit { what, found, limit: most, parameter: None });
         }
         runs.push(run);
     }

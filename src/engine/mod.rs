@@ -343,15 +343,6 @@ impl Engine {
         }
     }
 
-    /// Checks a request without resolving it, as far as that is possible before any bake.
-    ///
-    /// # Errors
-    /// Any error of the request's scene, size, format or pose.
-    pub fn check(&self, request: &FrameRequest) -> Result<(), EngineError> {
-        let state = self.state();
-        resolve::check(state, &*state.loaded(&request.scene)?, request).map(drop)
-    }
-
     /// Returns the strong entity tag (quoted) of the frame for `request`. Blocks as [`Engine::resolve_blocking`] does.
     ///
     /// # Errors
@@ -360,17 +351,16 @@ impl Engine {
         Ok(self.resolve_blocking(request.clone())?.etag().to_owned())
     }
 
-    /// Returns whether a frame for this request must wait for a bake, which [`Engine::bake`] does.
+    /// Returns whether a frame for this request must wait for a bake, which [`Engine::bake`] does. A request that is refused need not.
     pub fn must_bake(&self, request: &FrameRequest) -> bool {
-        let loaded = self.state().loaded(&request.scene);
-        loaded.is_ok_and(|loaded| resolve::goal(self.state(), &loaded, request).is_some())
+        matches!(self.resolve(request.clone()), Ok(Resolution::NeedsBake(_)))
     }
 
     /// Builds what a request needs and is missing: the scene's point trees, or normals and kernels of large clouds. Blocks for
     /// some seconds per million samples.
     ///
     /// # Errors
-    /// An unknown scene, a geometry that no tree can be built of, or a file that is not what it was.
+    /// Any error of the request; a geometry that no tree can be built of, or a file that is not what it was.
     pub fn bake(&self, request: &FrameRequest) -> Result<(), EngineError> {
         self.begin_bake(request)?.map_or(Ok(()), BakeTicket::wait)
     }
@@ -379,11 +369,12 @@ impl Engine {
     /// bake is given up when nobody waits any more, and when the scene is deleted.
     ///
     /// # Errors
-    /// An unknown scene.
+    /// Any error of the request.
     pub fn begin_bake(&self, request: &FrameRequest) -> Result<Option<BakeTicket>, EngineError> {
-        let loaded = self.state().loaded(&request.scene)?;
-        let goal = resolve::goal(self.state(), &loaded, request);
-        goal.map(|goal| self.state().begin_bake(&loaded, goal)).transpose()
+        match self.resolve(request.clone())? {
+            Resolution::Ready(_) => Ok(None),
+            Resolution::NeedsBake(unbaked) => unbaked.begin().map(Some),
+        }
     }
 
     /// Returns the number of running bakes of [`Engine::begin_bake`], including those that are being given up.

@@ -26,9 +26,10 @@ pub struct FrameRequest {
 }
 
 impl FrameRequest {
-    /// Parts along each side of a pixel, for antialiasing of the output.
-    pub fn parts(&self) -> u32 {
-        self.settings.with_antialias_decided(self.output).parts()
+    /// The request with antialiasing decided, which depends on the output.
+    #[must_use]
+    pub fn with_antialias_decided(self) -> FrameRequest {
+        FrameRequest { settings: self.settings.with_antialias_decided(self.output), ..self }
     }
 }
 

@@ -31,7 +31,7 @@ pub enum Resolution {
 }
 
 /// Results of the checks of a request.
-pub struct Checked {
+struct Checked {
     view: View,
     camera: CameraReceipt,
     clip: Option<ClipRegion>,
@@ -102,13 +102,13 @@ pub fn frame_limits(state: &EngineState) -> (u64, u32) {
 
 /// Columns and rows of the image whose parts are averaged.
 fn drawn_size(request: &FrameRequest) -> (u32, u32) {
-    let parts = request.parts();
+    let parts = request.settings.parts();
     (request.width * parts, request.height * parts)
 }
 
 fn check_size(state: &EngineState, request: &FrameRequest) -> Result<(), EngineError> {
     let (mut max_pixels, mut max_side) = frame_limits(state);
-    let parts = request.parts();
+    let parts = request.settings.parts();
     max_pixels /= u64::from(parts * parts);
     max_side /= parts;
     for (parameter, value) in [("w", request.width), ("h", request.height)] {
@@ -129,6 +129,7 @@ fn check_size(state: &EngineState, request: &FrameRequest) -> Result<(), EngineE
                 },
                 found: u64::from(value),
                 limit: u64::from(max_side),
+                parameter: Some(parameter),
             });
         }
     }
@@ -141,7 +142,8 @@ fn check_size(state: &EngineState, request: &FrameRequest) -> Result<(), EngineE
         } else {
             "pixels that this adapter binds at once, which no setting raises"
         };
-        return Err(EngineError::OverLimit { what, found, limit: max_pixels });
+        let parameter = (parts > 1).then_some("antialias");
+        return Err(EngineError::OverLimit { what, found, limit: max_pixels, parameter });
     }
     Ok(())
 }
@@ -157,10 +159,7 @@ fn unfit_format(error: EncodeError) -> EngineError {
 }
 
 /// Checks everything of a request but what only a baked scene can tell.
-///
-/// # Errors
-/// Any error of the size, the format or the pose.
-pub fn check(
+fn check(
     state: &EngineState,
     loaded: &Loaded,
     request: &FrameRequest,
@@ -174,11 +173,6 @@ pub fn check(
         });
     }
     encode::accepts(request.format, request.output).map_err(unfit_format)?;
-    posed(loaded, request)
-}
-
-/// The view of a request, and what it is clipped with.
-fn posed(loaded: &Loaded, request: &FrameRequest) -> Result<Checked, EngineError> {
     let clip = clip_region(loaded, &request.settings)?;
     check_field(loaded, &request.settings)?;
     let (view, camera) = pose(loaded, request, clip.as_ref())?;
@@ -232,9 +226,10 @@ pub fn resolve_in(
     if let Some(hook) = &state.config.resolve_hook {
         hook();
     }
+    let request = request.with_antialias_decided();
     let checked = check(state, &loaded, &request)?;
     let (drawn, full_because) = with_detail(state, &loaded, &request, &checked.view);
-    let baked = match goal_of(&loaded, &drawn) {
+    let baked = match goal_of(&loaded, &drawn, &checked.view) {
         None if !drawn.settings.draws_trees() => Ok((loaded.model.clone(), loaded.facts)),
         None => {
             loaded.trees().transpose()?.map(|trees| (trees.model, trees.facts)).ok_or(Goal::Trees)
@@ -288,7 +283,6 @@ fn choose_reconstruction(
     let decided = auto.map_or(asked, |choice| asked.decided(choice.reconstruct));
     let settings = Settings { projection: Some(view.projection), ..decided }
         .with_edl_decided(facts, request.output)
-        .with_antialias_decided(request.output)
         .with_line_width_decided(facts);
     let settings = match (&provisional, &grounds) {
         // Until there are kernels, discs close what splats will.
@@ -335,7 +329,7 @@ fn decide(
     let fuzzy = reconstruction.fuzzy().filter(|_| facts.counts.samples > 0);
     let fits = |splats| {
         let accepted_px = if facts.trees { settings.accepted_px() } else { 0.0 };
-        let parts = request.parts();
+        let parts = request.settings.parts();
         let accepted_px = accepted_px * parts as f32;
         Slabs::new(splats, &loaded.extent, &view.finer(parts), accepted_px).fit()
     };
@@ -384,17 +378,8 @@ fn cost_key(request: &FrameRequest, settings: &Settings) -> CostKey {
     CostKey { kind: hasher.finish(), pixels: u64::from(width) * u64::from(height) }
 }
 
-/// Returns what a bake has to make before the frame can be drawn; `None` if nothing is missing.
-pub fn goal(state: &EngineState, loaded: &Loaded, request: &FrameRequest) -> Option<Goal> {
-    match posed(loaded, request) {
-        Ok(checked) => goal_of(loaded, &with_detail(state, loaded, request, &checked.view).0),
-        // The frame is refused.
-        Err(_) => None,
-    }
-}
-
-/// Resolves a request whose level of detail is decided.
-fn goal_of(loaded: &Loaded, request: &FrameRequest) -> Option<Goal> {
+/// Returns what a bake has to make before a frame whose level of detail is decided can be drawn; `None` if nothing is missing.
+fn goal_of(loaded: &Loaded, request: &FrameRequest, view: &View) -> Option<Goal> {
     let (settings, output) = (&request.settings, needed_output(request));
     if settings.draws_trees() {
         return loaded.trees().is_none().then_some(Goal::Trees);
@@ -408,14 +393,10 @@ fn goal_of(loaded: &Loaded, request: &FrameRequest) -> Option<Goal> {
         (true, Wait::Ready) => {
             output == Output::Normal && loaded.lacks(&settings.decided(Reconstruct::Points), output)
         }
-        (true, Wait::Complete) => match posed(loaded, request) {
-            Ok(Checked { view, .. }) => {
-                let wanted = choose_for(loaded, request, loaded.facts.counts.samples > 0, &view);
-                loaded.lacks(&settings.decided(wanted.reconstruct), output)
-            }
-            // The frame is refused.
-            Err(_) => false,
-        },
+        (true, Wait::Complete) => {
+            let wanted = choose_for(loaded, request, loaded.facts.counts.samples > 0, view);
+            loaded.lacks(&settings.decided(wanted.reconstruct), output)
+        }
         (false, _) => loaded.lacks(settings, output),
     };
     lacks.then_some(Goal::Estimates)

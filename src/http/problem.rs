@@ -303,20 +303,12 @@ impl From<EngineError> for Problem {
                     "DELETE other scenes and send the request again, or restart with a larger --host-memory-mib",
                 ),
             },
-            EngineError::OverLimit { what, limit, .. } => {
-                let is_averaged = what.ends_with("with antialiasing");
-                let listed = match is_averaged {
-                    true => "lists the limits without antialiasing",
-                    false => "lists all",
-                };
-                let accepted = format!("at most {limit} {what}; GET /v1/limits {listed}");
+            EngineError::OverLimit { what, limit, parameter, .. } => {
+                let accepted = format!(
+                    "at most {limit} {what}; GET /v1/limits lists all limits, those of frames without antialiasing"
+                );
                 let problem = Problem::new(Kind::OverLimit, text).accepted(accepted);
-                match what {
-                    _ if what.starts_with("pixels in w") => problem.at("w"),
-                    _ if what.starts_with("pixels in h") => problem.at("h"),
-                    _ if is_averaged => problem.at("antialias"),
-                    _ => problem,
-                }
+                parameter.into_iter().fold(problem, Problem::at)
             }
             EngineError::Asset(inner) => match &*inner {
                 AssetError::Io { source, .. } if !is_users_fault(source) => Problem::internal(text),

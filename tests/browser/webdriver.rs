@@ -27,13 +27,7 @@ pub fn find_driver() -> Option<String> {
 impl Browser {
     /// Starts chromedriver on a port of its choice and a headless Chromium with a fresh profile.
     pub fn start(driver: &str, width: u32, height: u32) -> Browser {
-        let mut driver = Command::new(driver)
-            .arg("--port=0")
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("chromedriver starts");
-        let port = announced_port(&mut driver);
+        let (driver, port) = start_driver(driver);
         let profile = tempfile::tempdir().expect("a folder for the profile");
         let agent: ureq::Agent = ureq::Agent::config_builder()
             .timeout_global(Some(Duration::from_secs(60)))
@@ -237,16 +231,44 @@ impl Drop for Browser {
     }
 }
 
-/// Reads the port from "… started successfully on port N.". A thread drains the rest of the output.
-fn announced_port(driver: &mut Child) -> u16 {
+/// Starts chromedriver on a port of its choice.
+///
+/// Given port 0, chromedriver takes a free port for one version of IP and then binds the same number for the other. It
+/// ends with "port not available" where another process holds that number, as servers of tests beside this one do, so
+/// it is started again with another port.
+fn start_driver(program: &str) -> (Child, u16) {
+    const ATTEMPTS: usize = 20;
+    let mut said = Vec::new();
+    for _ in 0..ATTEMPTS {
+        let mut driver = Command::new(program)
+            .arg("--port=0")
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("chromedriver starts");
+        match announced_port(&mut driver) {
+            Ok(port) => return (driver, port),
+            Err(output) => said.push(output),
+        }
+        driver.kill().expect("chromedriver can be ended");
+        driver.wait().expect("chromedriver ends");
+    }
+    panic!("chromedriver found no port in {ATTEMPTS} attempts; it said: {said:#?}");
+}
+
+/// Reads the port from "… started successfully on port N.", or returns all output where that line is missing. A thread
+/// drains the rest of the output.
+fn announced_port(driver: &mut Child) -> Result<u16, String> {
     let stdout = driver.stdout.take().expect("chromedriver's output");
     let mut lines = BufReader::new(stdout).lines().map_while(Result::ok);
+    let mut said = String::new();
     let port = lines.by_ref().find_map(|line| {
+        said += &format!("{line}\n");
         let (_, rest) = line.split_once("successfully on port ")?;
         rest.trim_end_matches('.').parse().ok()
     });
     std::thread::spawn(move || lines.for_each(drop));
-    port.expect("chromedriver says on which port it listens")
+    port.ok_or(said)
 }
 
 /// Runs a WebDriver command and returns its `value`.

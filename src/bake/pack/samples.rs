@@ -2,25 +2,30 @@
 //!
 //! Chunks of samples with clip lines come behind the others, and go into pages of their own.
 
+mod unpack;
+
 use std::borrow::Cow;
 use std::io;
 use std::ops::Range;
 
-use glam::{DVec3, IVec3, Vec2, Vec3};
+use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::fields::{CodeCounts, FIELD_WORDS, PackedField, Values, pack_field, value_words};
-use super::kernel::{self, NO_LINE, longer_axis};
+use super::kernel::{self, longer_axis};
 use super::kind::{
     Arrays, LOOKED_AT, PackedKind, PageKind, STRAY_SHARE, Stream, StreamOf, TAIL_SHARE, holds,
 };
 use super::{
-    CHUNK, GeometryKind, Grid, KERNEL_DETAIL, NO_NORMAL, NodeRange, PackError, PackedChunk, Sides,
-    finite, morton, octahedral, octahedral_decode, order, rgba_word,
+    CHUNK, GeometryKind, Grid, KERNEL_DETAIL, NodeRange, PackError, PackedChunk, Sides, finite,
+    morton, octahedral, octahedral_decode, order, rgba_word,
 };
 use crate::assets::fields::{MOST_WORDS, Scale};
-use crate::assets::{Clip, ClipLine, Field, Fields, Kernel, NEUTRAL, PointCloud};
+use crate::assets::{Clip, Field, Kernel, NEUTRAL, PointCloud};
 use crate::math::Bounds;
+
+pub(in crate::bake) use unpack::unpack_kernel;
+pub use unpack::unpack_samples;
 
 /// Bytes of a sample.
 pub const SAMPLE_BYTES: u64 = 20;
@@ -323,54 +328,6 @@ pub(in crate::bake) fn pack_run(
 
 fn round_shift(v: i32, shift: u32) -> u32 {
     if shift == 0 { v as u32 } else { (v as u32 + (1 << (shift - 1))) >> shift }
-}
-
-/// Unpacks samples, in their order.
-pub fn unpack_samples(packed: &PackedSamples) -> PointCloud {
-    let count = packed.positions.len();
-    let mut cloud = PointCloud {
-        positions: Vec::with_capacity(count),
-        colors: Some(packed.attributes.iter().map(|[color, _]| color.to_le_bytes()).collect()),
-        normals: Some(packed.attributes.iter().map(|[_, n]| octahedral_decode(*n)).collect()),
-        oriented: packed.chunks.iter().any(|chunk| chunk.sides != Sides::Unknown),
-        ..PointCloud::default()
-    };
-    let mut kernels = Vec::with_capacity(count);
-    for chunk in &packed.chunks {
-        let step = packed.grid.step as f32 * (chunk.shift as f32).exp2();
-        let base = chunk.kernel_base * step;
-        for index in chunk.elements() {
-            cloud.positions.push(packed.grid.position(chunk.cell(packed.positions[index])));
-            kernels.push(unpack_kernel(packed.kernels[index], packed.attributes[index][1], base));
-        }
-    }
-    cloud.kernels = Some(kernels);
-    let fields = packed.fields.iter().map(PackedField::field).collect();
-    cloud.fields = Fields::from_words(fields, packed.values.clone());
-    if !packed.clips.is_empty() {
-        let plain = packed.clipped_first() as usize;
-        let clips = packed.clips.iter().map(|&words| clip(words));
-        cloud.clips = Some(vec![Clip::NONE; plain].into_iter().chain(clips).collect());
-    }
-    cloud
-}
-
-/// The kernel of a sample with this normal; `base` is the longest axis of its chunk.
-pub(in crate::bake) fn unpack_kernel(word: u32, normal: u32, base: f32) -> Kernel {
-    let axes = if normal == NO_NORMAL { Vec3::Z } else { octahedral_decode(normal) };
-    kernel::decode(word, axes, base)
-}
-
-fn line(word: u32) -> Option<ClipLine> {
-    (word != NO_LINE).then(|| {
-        let angle = (word >> 16) as f32 / 65536.0 * std::f32::consts::TAU;
-        let offset = f32::from(word as u16 as i16) / 32767.0 * kernel::OFFSET_RANGE;
-        ClipLine { normal: Vec2::from_angle(angle), offset }
-    })
-}
-
-fn clip([a, b]: [u32; 2]) -> Clip {
-    Clip { lines: [line(a), line(b)], either: a > b }
 }
 
 impl PackedSamples {

@@ -252,7 +252,8 @@ fn check(app: &App, spec: &Spec) -> Result<(u64, f64), Problem> {
     encode::accepts(request.format, request.output)
         .map_err(|error| Problem::new(Kind::BadParameter, error.to_string()).at("format"))?;
     let shots = find_shots(&app.engine, spec).map_err(film_problem)?;
-    app.engine.check(&request).map_err(|error| missing(app, &spec.scene, error.into()))?;
+    let resolved = app.engine.resolve(request.clone());
+    resolved.map_err(|error| missing(app, &spec.scene, error.into()))?;
     if spec.want.video {
         let coder = Coder::find().map_err(video_problem)?;
         Reel::new(&request, &shots, spec.want.bitrate_kbps).check(&coder).map_err(video_problem)?;

@@ -82,10 +82,12 @@ impl FrameParams {
 
     /// Refuses sizes beyond the longest side of a frame.
     pub fn check_sides(&self, longest: u32) -> Result<(), Problem> {
-        for (what, side) in [("pixels in w", self.w), ("pixels in h", self.h)] {
+        let sides = [("w", "pixels in w", self.w), ("h", "pixels in h", self.h)];
+        for (parameter, what, side) in sides {
             if let Some(side) = side.filter(|side| *side > longest) {
                 let (found, limit) = (u64::from(side), u64::from(longest));
-                return Err(EngineError::OverLimit { what, found, limit }.into());
+                let parameter = Some(parameter);
+                return Err(EngineError::OverLimit { what, found, limit, parameter }.into());
             }
         }
         Ok(())

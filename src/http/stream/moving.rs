@@ -57,7 +57,9 @@ pub fn still_request(id: &str, params: &FrameParams) -> Result<FrameRequest, Pro
         (None, Output::Color) => ImageFormat::Jpeg,
         (None, _) => ImageFormat::Png,
     };
-    params.request(id, format, Instant::now())
+    let request = params.request(id, format, Instant::now())?;
+    // Decided here, because moving and still frames are told apart by what antialiasing does.
+    Ok(request.with_antialias_decided())
 }
 
 /// Builds a frame of the given quality. A moving frame that comes out as good as requested counts as still.
@@ -91,7 +93,7 @@ pub fn wanted(
         request.quality = pace.jpeg_quality.min(most);
     }
     let facts = |request: &FrameRequest| {
-        (request.width, request.height, request.parts(), Made::of(request))
+        (request.width, request.height, request.settings.parts(), Made::of(request))
     };
     let as_asked = facts(&request) == facts(&still);
     let quality = if as_asked { Quality::Still } else { Quality::Moving };

@@ -1,4 +1,7 @@
+use glam::Vec2;
+
 use super::*;
+use crate::assets::ClipLine;
 use crate::bake::kernels::circle;
 use crate::scene::random::SplitMix64;
 
