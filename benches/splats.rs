@@ -2,7 +2,7 @@
 //! are better not left to a single thread.
 //!
 //! The paper is M. Zwicker, J. Räsänen, M. Botsch, C. Dachsbacher, M. Pauly, "Perspective Accurate Splatting", Graphics
-//! Interface 2004. The crossing belongs into `SMALL_SPLAT_PX` (`src/passes/mod.rs`).
+//! Interface 2004. The crossing belongs into `small_splat_px` (`src/passes/mod.rs`).
 
 mod common;
 
@@ -17,7 +17,7 @@ use common::{files, median, median_ratio, ms, pick};
 use glam::DVec3;
 use pointillist::engine::Receipt;
 use pointillist::generate::{Kind, Parameters};
-use pointillist::passes::SMALL_SPLAT_PX;
+use pointillist::passes::small_splat_px;
 use pointillist::plan::{Reconstruct, Settings};
 use pointillist::scene::{Blend, Filter};
 
@@ -313,7 +313,7 @@ fn crossing(report: &mut Report) -> anyhow::Result<()> {
         let mut row = vec![(2 * radius).to_string(), drawings[0].info.samples.to_string()];
         for ((threshold, times), listed) in THRESHOLDS_PX.iter().zip(&times).zip(&listed) {
             let time = median(times);
-            report.value(&format!("radius {radius} px, SMALL_SPLAT_PX {threshold}, ms"), time);
+            report.value(&format!("radius {radius} px, small_splat_px {threshold}, ms"), time);
             let way = if *listed > 0.5 { "walked" } else { "thread" };
             row.push(format!("{} {way}", number(time)));
         }
@@ -337,9 +337,14 @@ fn crossing(report: &mut Report) -> anyhow::Result<()> {
             println!("no crossing among {ratios:?} (side in px, eight threads' time over one's)")
         }
     }
-    println!("SMALL_SPLAT_PX is {SMALL_SPLAT_PX}");
+    println!(
+        "small_splat_px is {} for CPUs, {} for GPUs",
+        small_splat_px(true),
+        small_splat_px(false)
+    );
     report.value("crossing_walk_splats_px", crossing);
-    report.value("small_splat_px", SMALL_SPLAT_PX);
+    report.value("small_splat_px", small_splat_px(true));
+    report.value("small_splat_px_gpu", small_splat_px(false));
     Ok(())
 }
 

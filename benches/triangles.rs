@@ -1,6 +1,6 @@
 //! Triangles: from which size on they are better not left to a single thread, and meshes beside VTK.
 //!
-//! The crossing belongs into `SMALL_TRIANGLE_PX` (`src/passes/mod.rs`). Two engines draw the same grids of equal
+//! The crossing belongs into `small_triangle_px` (`src/passes/mod.rs`). Two engines draw the same grids of equal
 //! triangles in turns, one told to walk all that the walk can take, one to rasterise everything.
 
 mod common;
@@ -15,7 +15,7 @@ use glam::DVec3;
 use pointillist::engine::Receipt;
 use pointillist::generate::{Kind, Parameters};
 use pointillist::math::{Camera, Lens};
-use pointillist::passes::SMALL_TRIANGLE_PX;
+use pointillist::passes::small_triangle_px;
 
 const SIZE: u32 = 1024;
 const SIDES_PX: [u32; 8] = [1, 2, 4, 8, 16, 32, 64, 128];
@@ -158,12 +158,17 @@ fn crossing(report: &mut Report) -> anyhow::Result<()> {
         println!("{}", explain(WAYS[way + 1].0, crossing, ratios));
         report.value(&format!("crossing_{}_px", WAYS[way + 1].0), crossing);
     }
-    report.value("small_triangle_px", SMALL_TRIANGLE_PX);
+    report.value("small_triangle_px", small_triangle_px(true));
+    report.value("small_triangle_px_gpu", small_triangle_px(false));
     Ok(())
 }
 
 fn explain(other: &str, crossing: Option<f64>, ratios: &[(f64, f64)]) -> String {
-    let now = format!("SMALL_TRIANGLE_PX is {SMALL_TRIANGLE_PX}");
+    let now = format!(
+        "small_triangle_px is {} for CPUs, {} for GPUs",
+        small_triangle_px(true),
+        small_triangle_px(false)
+    );
     match (crossing, ratios.first()) {
         (Some(side), _) => {
             format!("a thread beats {other} up to {} px on this machine; {now}", number(side))

@@ -19,9 +19,16 @@ const COUNTS: bool = FIRST_HALF;
 // On lavapipe all loops of a thread and of its vector share 65535 rounds; code after the last round never runs. A segment is listed
 // when no rounds are left for it.
 const ROUNDS: u32 = 60000u;
-// Columns of a box and pixels of its strip that one thread goes through.
-const MOST_COLUMNS: u32 = 48u;
-const MOST_PIXELS: u32 = 400u;
+
+// Columns of a box that one thread goes through: 48 where small splats are 32 pixels long.
+fn most_columns() -> u32 {
+    return u32(frame.small_splat_px) * 3u / 2u;
+}
+
+// Pixels of a strip that one thread goes through: 400 where small splats are 32 pixels long.
+fn most_pixels() -> u32 {
+    return u32(frame.small_splat_px * frame.small_splat_px) * 25u / 64u;
+}
 
 // Whether a segment's own level of detail is accepted and that above is not, both in its middle; src/bake/line_levels.rs says why.
 // Lines at full detail have one level, which no frame refuses.
@@ -41,9 +48,9 @@ fn segment_of_slot(slot_index: u32, at: Placed, scale: f32, chunk: Chunk, index:
     bounds.is_seen = bounds.is_seen && level_is_drawn(seen.line, chunk, scale);
     let columns = u32(bounds.high.x - bounds.low.x + 1);
     let pixels = columns * most_rows(bounds);
-    let is_small = columns <= MOST_COLUMNS && pixels <= MOST_PIXELS;
+    let is_small = columns <= most_columns() && pixels <= most_pixels();
     let wanted = select(0u, pixels + columns, bounds.is_seen && is_small);
-    let most = most_of_lanes(wanted, MOST_PIXELS + MOST_COLUMNS) + 2u;
+    let most = most_of_lanes(wanted, most_pixels() + most_columns()) + 2u;
     let walks = rounds + most <= ROUNDS;
     if bounds.is_seen && !(is_small && walks) {
         list_entry(id, vec2<u32>(bounds.low), vec2<u32>(bounds.high));

@@ -16,10 +16,7 @@ use crate::gpu::buffer::Buffer;
 use crate::gpu::readback::{Landing, Ring};
 use crate::gpu::timing::Timer;
 use crate::gpu::{Gpu, GpuError, GpuOptions};
-use crate::passes::{
-    self, Context, FrameTask, PassSpan, Pipelines, SMALL_SPLAT_PX, SMALL_TRIANGLE_PX, Scratch,
-    Uniforms,
-};
+use crate::passes::{self, Context, FrameTask, PassSpan, Pipelines, Scratch, Uniforms};
 use crate::plan::Pass;
 use crate::residency::layout::{GpuStats, MOST_VIEWS};
 use crate::residency::model::SceneModel;
@@ -107,6 +104,8 @@ impl Renderer {
         let large_units_limit = if gpu.is_cpu { 1 << 20 } else { 1 << 24 };
         let scratch = Scratch::new(&gpu);
         Ok(Renderer {
+            small_triangle_px: passes::small_triangle_px(gpu.is_cpu),
+            small_splat_px: passes::small_splat_px(gpu.is_cpu),
             gpu,
             residency,
             pipelines: Arc::default(),
@@ -115,8 +114,6 @@ impl Renderer {
             ring: Ring::default(),
             timers: Vec::new(),
             fault,
-            small_triangle_px: SMALL_TRIANGLE_PX,
-            small_splat_px: SMALL_SPLAT_PX,
             large_units_limit,
             spoil: false,
         })
