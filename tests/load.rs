@@ -159,9 +159,12 @@ fn saturation_of_a_daemon_is_found() {
         assert_ne!(beyond["verdict"], "keeps_up");
         let last = points.last().unwrap();
         assert!(last["throughput_per_s"].as_f64() < last["offered_per_s"].as_f64());
-        // The queue is short. Requests beyond it are refused, with `Retry-After`.
+        // Requests beyond the short queue are refused, with `Retry-After`. A slow machine may be saturated by fewer than the queue
+        // and two batches hold; the duration is one second.
         let counts = &last["counts"];
-        assert!(counts["refused"].as_u64().unwrap() > 0, "{last}");
+        let [asked, answered] = ["requests", "throughput_per_s"].map(|key| last[key].as_f64());
+        let waiting = asked.unwrap() - answered.unwrap();
+        assert!(waiting <= 12.0 || counts["refused"].as_u64().unwrap() > 0, "{last}");
         assert_eq!(counts["refused"], counts["refused_with_retry_after"]);
     }
 }

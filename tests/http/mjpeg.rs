@@ -188,7 +188,9 @@ fn a_film_that_nobody_reads_gives_its_place_back() {
     let json = [("content-type", "application/json")];
     let node = "/v1/scenes/grid/nodes/wall";
     assert_eq!(client.send("PATCH", node, &json, Some(body.as_bytes())).status, 200);
-    assert_eq!(read.part().unwrap().number, 1, "the picture changes");
+    // On a slow machine the picture has been sent again meanwhile, as it is every 15 s.
+    let changed = std::iter::from_fn(|| read.part()).find(|part| part.number > 0);
+    assert_eq!(changed.unwrap().number, 1, "the picture changes");
 }
 
 #[test]
