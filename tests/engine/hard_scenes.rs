@@ -1,5 +1,5 @@
-//! Draws every scene of `scenes/hard` in every way of drawing splats, and checks that frames are valid and deterministic. Each
-//! scene has two tests, one for its thin images, so that none takes long.
+//! Draws every scene of `scenes/hard` in every way of drawing splats, and checks that frames are valid and deterministic.
+//! The scenes share few tests, because each test compiles the pipelines of all these ways.
 
 use pointillist::engine::{FrameRequest, Pose, SceneInfo};
 use pointillist::plan::Output;
@@ -49,80 +49,86 @@ fn assert_all_sound(info: &SceneInfo, requests: &[FrameRequest], frames: &[Vec<u
     }
 }
 
-/// Draws all frames of a scene together, some of them also alone, and all that are not thin also without 64-bit atomics.
-fn draw_all(name: &str, thin: bool) {
-    let studio = Studio::below(&hard_folder(), roomy);
-    let file = hard_folder().join(format!("{name}.json"));
-    let info = studio.engine.load(name, &file).unwrap();
-    let requests = all_requests(&info, thin);
-    let frames = together(&studio, &requests);
+/// The frames of a scene.
+struct Drawn {
+    requests: Vec<FrameRequest>,
+    frames: Vec<Vec<u8>>,
+}
+
+/// Draws all frames of a scene together, and some of them also alone.
+fn draw_all(studio: &Studio, info: &SceneInfo, thin: bool) -> Drawn {
+    let requests = all_requests(info, thin);
+    let frames = together(studio, &requests);
     let largest = frames.iter().map(|frame| frame.receipt.views).max().unwrap();
     assert!(largest as usize >= info.cameras.len().min(3), "{largest} views at once at most");
     let frames: Vec<Vec<u8>> = frames.iter().map(|frame| frame.bytes.to_vec()).collect();
-    assert_all_sound(&info, &requests, &frames);
+    assert_all_sound(info, &requests, &frames);
     // Every seventh frame: this varies camera, way and output.
     for (request, bytes) in requests.iter().zip(&frames).step_by(7) {
         same(&studio.bytes(request), bytes, &format!("alone: {request:?}"));
         same(&studio.bytes(request), bytes, &format!("again: {request:?}"));
     }
-    let assert_whole = |studio: &Studio| {
-        let stats = studio.engine.stats();
-        assert_eq!((stats.failed, stats.device_losses), (0, 0));
-    };
+    Drawn { requests, frames }
+}
+
+fn load(studio: &Studio, name: &str) -> SceneInfo {
+    let file = hard_folder().join(format!("{name}.json"));
+    studio.engine.load(name, &file).unwrap()
+}
+
+fn assert_whole(studio: &Studio) {
+    let stats = studio.engine.stats();
+    assert_eq!((stats.failed, stats.device_losses), (0, 0));
+}
+
+/// Draws scenes on an adapter with 64-bit atomics, and all frames that are not thin also on one without. Pipelines, whose
+/// compilation takes most of the time, are shared by the scenes.
+fn draw_scenes(names: &[&'static str]) {
+    let studio = Studio::below(&hard_folder(), roomy);
+    let drawn: Vec<Drawn> = names
+        .iter()
+        .map(|name| {
+            let info = load(&studio, name);
+            draw_all(&studio, &info, true);
+            draw_all(&studio, &info, false)
+        })
+        .collect();
     assert_whole(&studio);
     drop(studio);
-    // Thin images run the same passes.
-    if thin {
-        return;
-    }
     let narrow = Studio::below(&hard_folder(), |config| {
         roomy(config);
         config.force_32_bit = true;
     });
-    narrow.engine.load(name, &file).unwrap();
-    let others = together(&narrow, &requests);
-    for (frame, (request, bytes)) in others.iter().zip(requests.iter().zip(&frames)) {
-        same(&frame.bytes, bytes, &format!("without 64-bit atomics: {request:?}"));
+    for (name, Drawn { requests, frames }) in names.iter().zip(&drawn) {
+        load(&narrow, name);
+        let others = together(&narrow, requests);
+        for (frame, (request, bytes)) in others.iter().zip(requests.iter().zip(frames)) {
+            same(&frame.bytes, bytes, &format!("without 64-bit atomics: {request:?}"));
+        }
     }
     assert_whole(&narrow);
 }
 
 macro_rules! hard_scenes {
-    ($($test:ident: $name:literal),+ $(,)?) => {
-        const TESTED: &[&str] = &[$($name),+];
+    ($($test:ident: $($name:literal),+;)+) => {
+        const TESTED: &[&str] = &[$($($name),+),+];
 
-        $(mod $test {
-            #[test]
-            fn is_drawn_soundly_and_always_alike() {
-                super::draw_all($name, false);
-            }
-
-            #[test]
-            fn is_drawn_soundly_in_thin_images() {
-                super::draw_all($name, true);
-            }
-        })+
+        mod scenes_are_drawn_soundly_and_always_alike {
+            $(#[test]
+            fn $test() {
+                super::draw_scenes(&[$($name),+]);
+            })+
+        }
     };
 }
 
 hard_scenes! {
-    around_the_eye: "around-the-eye",
-    axes: "axes",
-    behind: "behind",
-    clips: "clips",
-    edge_on: "edge-on",
-    few: "few",
-    fields_of_view: "fields-of-view",
-    layers: "layers",
-    lines: "lines",
-    survey: "survey",
-    survey_home: "survey-home",
-    transforms: "transforms",
-    turned_away: "turned-away",
-    without_normals: "without-normals",
+    around_the_eye_to_edge_on: "around-the-eye", "axes", "behind", "clips", "edge-on";
+    few_to_lines: "few", "fields-of-view", "layers", "lines";
+    survey_to_without_normals: "survey", "survey-home", "transforms", "turned-away", "without-normals";
 }
 
 #[test]
-fn every_hard_scene_has_its_tests() {
+fn every_hard_scene_has_its_test() {
     assert_eq!(hard_names(), TESTED);
 }

@@ -25,7 +25,7 @@ fn no_film_mixes_two_scenes() {
     let daemon = studio(&[]);
     let client = daemon.client();
     // A frame takes longer than the replacement, so that the scene is rarely seen as missing.
-    let film = || json!({"scene": "mine", "path": fly(), "fps": 6, "w": 1536, "h": 1536});
+    let film = || json!({"scene": "mine", "path": fly(), "fps": 3, "w": 1536, "h": 1536});
     let sides = [8, 5];
     let alone = sides.map(|side| {
         upload(&client, side);
@@ -41,7 +41,7 @@ fn no_film_mixes_two_scenes() {
     for round in 0..4 {
         let new = (round + 1) % 2;
         let id = create(&client, film());
-        drawn(&client, &id, 2 + 2 * round as u64);
+        drawn(&client, &id, 2 + round as u64);
         assert_eq!(client.send("DELETE", "/v1/scenes/mine", &[], None).status, 204);
         upload(&client, sides[new]);
         let found = super::when(&client, &id, "an end", |job| {
