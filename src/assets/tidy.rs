@@ -226,7 +226,8 @@ fn has_area(positions: &[DVec3], triangle: &[u32; 3]) -> bool {
     (b - a).cross(c - a) != DVec3::ZERO
 }
 
-fn drop_vertices(mesh: &mut Mesh, kept: &[bool]) {
+/// Keeps some of a mesh's vertices. Its triangles use no others.
+pub(crate) fn drop_vertices(mesh: &mut Mesh, kept: &[bool]) {
     let mut next = 0u32;
     let renumbered: Vec<u32> = kept
         .iter()

@@ -8,14 +8,17 @@ use std::path::Path;
 use std::rc::Rc;
 
 use super::csg::{self, CsgError};
+use super::mesh_lines::{self, MeshLines, lines_of_mesh};
 use super::prepare::{self, AssetTraits};
 use super::upright::Shape;
 use super::{
     FeatureOptions, SampleOptions, detect_features, estimate_kernels, expected_samples, sample_mesh,
 };
-use crate::assets::{self, Asset, AssetError, Clip, Geometry, NEUTRAL, PointCloud, ReadOptions};
+use crate::assets::{
+    self, Asset, AssetError, Clip, Geometry, NEUTRAL, Placement, PointCloud, ReadOptions,
+};
 use crate::memory::Interrupt;
-use crate::scene::{AssetRef, AssetSource, FileSource, Scene, SceneError, Solid};
+use crate::scene::{AsLines, AssetRef, AssetSource, FileSource, Scene, SceneError, Solid};
 
 /// [`Asset::format`] of solids, which are made of other assets.
 pub const SOLID_FORMAT: &str = "csg";
@@ -149,6 +152,9 @@ impl Assembler {
             let reason = "is for points; the file holds a mesh, whose creases `sample` finds";
             return Err(self.invalid(index, ".features", reason));
         }
+        if let Some(options) = source.as_lines {
+            self.turn_into_lines(index, &mut asset, &options)?;
+        }
         if let Some(radius) = source.line_radius {
             let mut has_lines = false;
             for geometry in &mut asset.geometries {
@@ -195,6 +201,42 @@ impl Assembler {
             self.files.insert(index, asset.clone());
         }
         Ok(asset)
+    }
+
+    /// Replaces each mesh by lines and the triangles that are left. Every part stands where the mesh stood.
+    fn turn_into_lines(
+        &self,
+        index: usize,
+        asset: &mut Asset,
+        options: &AsLines,
+    ) -> Result<(), AssembleError> {
+        let Asset { geometries, materials, textures, placements, .. } = asset;
+        let mut has_lines = false;
+        for number in 0..geometries.len() {
+            let Geometry::Mesh(mesh) = &geometries[number] else { continue };
+            let bytes = mesh.triangles.len() as u64 * mesh_lines::TRIANGLE_BYTES;
+            self.options.admission.grow(&self.assets[index].name, bytes)?;
+            let MeshLines { rest, leaves, branches } =
+                lines_of_mesh(mesh, materials, textures, options);
+            has_lines |= leaves.is_some() || branches.is_some();
+            let lines = leaves.into_iter().chain(branches).map(Geometry::Lines);
+            let mut parts = rest.map(Geometry::Mesh).into_iter().chain(lines);
+            let Some(first) = parts.next() else { continue };
+            geometries[number] = first;
+            for part in parts {
+                let own = placements.iter().filter(|placement| placement.geometry == number);
+                let own: Vec<Placement> = own.cloned().collect();
+                let geometry = geometries.len();
+                placements.extend(own.into_iter().map(|own| Placement { geometry, ..own }));
+                geometries.push(part);
+            }
+        }
+        if has_lines {
+            return Ok(());
+        }
+        let reason = "the file holds no leaves (strips of quads) and no branches (rows of rings) up to the largest radius; \
+                      they stay triangles without `as_lines`";
+        Err(self.invalid(index, ".as_lines", reason))
     }
 
     fn solid_asset(&mut self, index: usize, solid: &Solid) -> Result<Asset, AssembleError> {

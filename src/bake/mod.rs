@@ -4,6 +4,7 @@
 //!   nearest neighbours;
 //! - [`estimate_kernels`] gives them kernels as well, whose disks leave no holes, in the same search;
 //! - [`fill_colors`] gives them colours, from intensity or class;
+//! - [`mesh_lines`] turns leaves and branches of meshes into lines;
 //! - [`sample_mesh`] turns meshes into samples whose disks cover them and end at their sharp edges;
 //! - [`rasterise_mesh`] turns meshes into many more samples, faster, whose disks cover them;
 //! - [`detect_features`] finds sharp edges in points, and where their kernels end there;
@@ -28,6 +29,7 @@ pub mod estimate;
 pub mod external;
 pub mod hybrid;
 pub mod line_levels;
+mod mesh_lines;
 pub mod outline;
 pub mod pack;
 pub mod prepare;

@@ -77,7 +77,7 @@ fn file_key(
     admission: &Admission,
 ) -> Result<AssetKey, EngineError> {
     // All of it: what is left out of the key is drawn as another scene has asked for it.
-    let FileSource { path: file, sample, features, line_radius } = source;
+    let FileSource { path: file, sample, features, as_lines, line_radius } = source;
     let display = file
         .file_name()
         .map_or_else(|| name.to_owned(), |name| name.to_string_lossy().into_owned());
@@ -85,8 +85,9 @@ fn file_key(
     let content = digest_file(file, &display, admission).map_err(asset_error)?;
     // The file's name affects how the bytes are read, and the scene affects what is made of them.
     let mut hasher = Sha256::new().chain_update(content).chain_update(file_kind(file));
-    if sample.is_some() || *features || line_radius.is_some() {
-        hasher.update(format!("\0{sample:?} {features} {line_radius:?}"));
+    let made = (sample, features, as_lines, line_radius);
+    if made != (&None, &false, &None, &None) {
+        hasher.update(format!("\0{made:?}"));
     }
     Ok(AssetKey { digest: hasher.finalize().into(), alone: stands_alone(file, &options) })
 }

@@ -28,6 +28,8 @@ pub struct FileSource {
     pub sample: Option<MeshSampling>,
     /// Look for sharp features of its points.
     pub features: bool,
+    /// Turn leaves and branches of its meshes into lines.
+    pub as_lines: Option<AsLines>,
     /// Radius of its lines, in place of its own.
     pub line_radius: Option<f64>,
 }
@@ -39,6 +41,18 @@ pub struct MeshSampling {
     pub spacing: Option<f64>,
     /// Angle between faces above which their edge is sharp.
     pub crease_deg: Option<f64>,
+}
+
+/// Which parts of a mesh become lines.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AsLines {
+    /// Strips of quads become ribbons.
+    pub leaves: bool,
+    /// Rows of rings become tubes.
+    pub branches: bool,
+    /// Largest radius of a tube and half-width of a ribbon, in the file's unit; when absent, a hundredth and a
+    /// twentieth of the mesh's diagonal.
+    pub max_radius: Option<f64>,
 }
 
 /// A solid made of sampled ones (constructive solid geometry).
@@ -83,6 +97,7 @@ impl AssetRef {
             path,
             sample: None,
             features: false,
+            as_lines: None,
             line_radius: None,
         });
         AssetRef { name: name.to_owned(), source }

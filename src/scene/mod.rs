@@ -31,7 +31,9 @@ mod up;
 mod validate;
 mod wire;
 
-pub use assets::{AssetRef, AssetSource, CsgOperation, FileSource, MeshSampling, Operand, Solid};
+pub use assets::{
+    AsLines, AssetRef, AssetSource, CsgOperation, FileSource, MeshSampling, Operand, Solid,
+};
 pub use effects::{Discs, EyeDome};
 pub use instance_path::{InstancePath, InstancePaths, PathStep};
 pub use load::{load, load_path, load_within, parse, parse_path};

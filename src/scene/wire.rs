@@ -98,6 +98,9 @@ pub(super) struct AssetWire {
     /// Whether sharp features of the file's points are looked for, false when absent.
     #[serde(default)]
     pub features: Option<bool>,
+    /// Turns the leaves and branches of the file's meshes into lines; `{}` does so with both.
+    #[serde(default)]
+    pub as_lines: Option<Object<AsLinesWire>>,
     /// Radius of the file's lines, in its unit, in place of its own; without one, lines have a radius that follows from their size and number.
     #[serde(default)]
     pub line_radius: Option<f64>,
@@ -121,6 +124,20 @@ pub(super) struct SampleWire {
     /// Degrees between faces above which their edge is sharp, 35 when absent.
     #[serde(default)]
     pub crease: Option<f64>,
+}
+
+#[derive(Debug, serde::Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct AsLinesWire {
+    /// Whether leaves, which are strips of quads, become ribbons; true when absent.
+    #[serde(default)]
+    pub leaves: Option<bool>,
+    /// Whether branches, which are rows of rings, become tubes; true when absent.
+    #[serde(default)]
+    pub branches: Option<bool>,
+    /// Largest radius of a tube and half-width of a ribbon, in the file's unit; wider parts stay triangles. When absent, a hundredth and a twentieth of the mesh's diagonal.
+    #[serde(default)]
+    pub max_radius: Option<f64>,
 }
 
 /// An asset as part of a solid, and where it stands in it.

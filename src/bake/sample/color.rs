@@ -68,6 +68,11 @@ impl<'a> Colors<'a> {
         self.mesh.colors.is_none() && self.pyramids.iter().all(Option::is_none)
     }
 
+    /// Tells whether a part has a texture.
+    pub(in crate::bake) fn is_textured(&self) -> bool {
+        self.pyramids.iter().any(Option::is_some)
+    }
+
     /// The colour about a place of a triangle that exists and has these corners, or `None` where the material's cut-off
     /// leaves nothing.
     pub(in crate::bake) fn on(

@@ -2,8 +2,10 @@
 
 use std::path::PathBuf;
 
-use super::super::wire::{AssetWire, Named, Object, OperandWire, SampleWire};
-use super::super::{AssetRef, AssetSource, CsgOperation, FileSource, MeshSampling, Operand, Solid};
+use super::super::wire::{AsLinesWire, AssetWire, Named, Object, OperandWire, SampleWire};
+use super::super::{
+    AsLines, AssetRef, AssetSource, CsgOperation, FileSource, MeshSampling, Operand, Solid,
+};
 use super::{LARGEST_COORDINATE, LARGEST_SCALE, Names, Place, Valid, each, placement, within};
 
 type Resolve<'a> = &'a dyn Fn(&str) -> Result<PathBuf, String>;
@@ -49,6 +51,7 @@ fn source(
             for (key, present) in [
                 ("sample", wire.sample.is_some()),
                 ("features", wire.features.is_some()),
+                ("as_lines", wire.as_lines.is_some()),
                 ("line_radius", wire.line_radius.is_some()),
             ] {
                 if present {
@@ -87,6 +90,15 @@ fn file_source(
         Some(wire) => Some(sampling(wire, place.key("sample"))?),
         None => None,
     };
+    let as_lines = match &wire.as_lines {
+        Some(wire) => Some(as_lines(wire, place.key("as_lines"))?),
+        None => None,
+    };
+    if as_lines.is_some() && wire.line_radius.is_some() {
+        return place
+            .key("line_radius")
+            .refuse("cannot stand beside `as_lines`, which takes radii from the mesh");
+    }
     let line_radius = match wire.line_radius {
         Some(radius) => {
             let place = place.key("line_radius");
@@ -94,7 +106,17 @@ fn file_source(
         }
         None => None,
     };
-    Ok(FileSource { path, sample, features, line_radius })
+    Ok(FileSource { path, sample, features, as_lines, line_radius })
+}
+
+fn as_lines(wire: &AsLinesWire, place: Place<'_>) -> Valid<AsLines> {
+    let (leaves, branches) = (wire.leaves.unwrap_or(true), wire.branches.unwrap_or(true));
+    if !(leaves || branches) {
+        return place.refuse("needs `leaves` or `branches`");
+    }
+    let within =
+        |radius| within(radius, 1.0 / LARGEST_SCALE, LARGEST_COORDINATE, place.key("max_radius"));
+    Ok(AsLines { leaves, branches, max_radius: wire.max_radius.map(within).transpose()? })
 }
 
 fn sampling(wire: &SampleWire, place: Place<'_>) -> Valid<MeshSampling> {
