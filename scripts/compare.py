@@ -100,7 +100,9 @@ def gpu_ms(receipt):
     """GPU times of a frame, and of its passes that are not those of projection."""
     if receipt["gpu_ns"] is None:
         fail("the adapter measures no GPU time")
-    projecting = sum(entry.get("gpu_ns") or 0 for entry in receipt["passes"] if entry["name"].startswith(PROJECTING))
+    projecting = [entry.get("gpu_ns") for entry in receipt["passes"] if entry["name"].startswith(PROJECTING)]
+    # A pass that did not run has no time; in a frame that is timed, one that ran has.
+    projecting = sum(ns for ns in projecting if ns is not None)
     return receipt["gpu_ns"] / 1e6, (receipt["gpu_ns"] - projecting) / 1e6
 
 
@@ -187,6 +189,7 @@ def main():
     for row in rows:
         found = measure(row, programs, options).figures()
         results.append(found)
+        rest = found["ratio_without_projection"]
         base, new, ratio = found["base_ms"], found["new_ms"], found["ratio"]
         notes = "equal" if found["equal_bytes"] else "differ"
         if found["left_out"]:
@@ -194,7 +197,7 @@ def main():
         print(
             f"| {found['row']} | {base['min']:.2f}, {base['median']:.2f} | {new['min']:.2f}, {new['median']:.2f} "
             f"| {found['ratio_of_min']:.3f} | {ratio['median']:.3f} ({ratio['least']:.3f} to {ratio['most']:.3f}) "
-            f"| {found['ratio_without_projection'] or 0:.3f} | {notes} |",
+            f"| {'–' if rest is None else f'{rest:.3f}'} | {notes} |",
             flush=True,
         )
     (options.folder / "compare.json").write_text(json.dumps(results, indent=1) + "\n")

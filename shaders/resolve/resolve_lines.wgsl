@@ -39,13 +39,13 @@ fn cylinder(tangent: vec3<f32>, l: vec3<f32>, to_eye: vec3<f32>, shininess: f32)
 }
 
 // The light that a line reflects. `direction`: the axis of a tube, or the normal of a ribbon.
-fn line_light(light: Light, albedo: vec3<f32>, material: Material, direction: vec3<f32>, is_ribbon: bool, place: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
+fn line_light(light: Light, albedo: vec3<f32>, material: Material, direction: vec3<f32>, place: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
     let l = arriving(light, place, to_eye);
     if light.kind == 0u {
         return albedo * light.color.rgb * l.w;
     }
     var factors = cylinder(direction, l.xyz, to_eye, material.shininess);
-    if is_ribbon {
+    if RIBBONS {
         let cosine = dot(direction, l.xyz);
         let mirrored = 2.0 * cosine * direction - l.xyz;
         factors = vec2<f32>(abs(cosine), pow(max(dot(mirrored, to_eye), 0.0), material.shininess));
@@ -60,12 +60,12 @@ fn line_light(light: Light, albedo: vec3<f32>, material: Material, direction: ve
     return reflected * light.color.rgb * l.w;
 }
 
-fn line_lights(albedo: vec3<f32>, material: Material, direction: vec3<f32>, is_ribbon: bool, place: vec3<f32>) -> vec3<f32> {
+fn line_lights(albedo: vec3<f32>, material: Material, direction: vec3<f32>, place: vec3<f32>) -> vec3<f32> {
     let to_eye = eye_from(place);
     let count = light_count();
     var color = vec3<f32>(0.0);
     for (var i = 0u; i < count; i++) {
-        color += line_light(light_at(i), albedo, material, direction, is_ribbon, place, to_eye);
+        color += line_light(light_at(i), albedo, material, direction, place, to_eye);
     }
     return color;
 }
@@ -104,11 +104,11 @@ fn resolve(column: Column) {
     }
     share = mix(seen.line.range.x, seen.line.range.y, share);
     let way = world_from_camera(towards(ray));
-    let is_round = !seen.line.is_ribbon && hit.width_px >= ROUND_PX;
+    let is_round = !RIBBONS && hit.width_px >= ROUND_PX;
     let tangent = unit_or_zero(world_from_camera(seen.line.ab));
     if needs_normal() {
         var own = way - tangent * dot(way, tangent);
-        if seen.line.is_ribbon {
+        if RIBBONS {
             let a = octahedral_decode(line_vertices[seen.line.words.x + 5u]);
             let b = octahedral_decode(line_vertices[seen.line.words.y + 5u]);
             own = turned(normal_map(instance), mix(a, b, share));
@@ -127,10 +127,10 @@ fn resolve(column: Column) {
     // Lines have no scalar fields to show.
     surface.color = select(color, linear_color(GREY), COLOR_BY == BY_FIELD);
     if SHADED && !is_round && (material.flags & MATERIAL_UNLIT) == 0u {
-        let direction = select(tangent, surface.normal, seen.line.is_ribbon);
+        let direction = select(tangent, surface.normal, RIBBONS);
         let albedo = recoloured(surface, column.at);
-        if !seen.line.is_ribbon || any(direction != vec3<f32>(0.0)) {
-            surface.color = line_lights(albedo, material, direction, seen.line.is_ribbon, place_of(surface, column.at));
+        if !RIBBONS || any(direction != vec3<f32>(0.0)) {
+            surface.color = line_lights(albedo, material, direction, place_of(surface, column.at));
             finish_lit(column.pixel, surface);
             return;
         }

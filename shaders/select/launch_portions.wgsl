@@ -39,7 +39,8 @@ fn launch_portions() {
             portions[at].begin = begin;
             portions[at].end = end;
             listed = max(listed, end - begin);
-            if WHOLE {
+            // A view whose slots are all near has asked nothing, and asks nothing again.
+            if WHOLE && depths[view * DEPTHS_WORDS + DEPTH_ENDS] < DEPTH_BINS {
                 far = max(far, end);
             }
         }

@@ -23,8 +23,8 @@ const NEAR_LAYERS: f32 = 2.0;
 override ELEMENT_COST: u32 = 40u;
 // Only samples are drawn, each a pixel: they hide nothing where they leave gaps.
 override POINTS: bool = false;
-// Elements of most slots.
-const ELEMENTS_EACH: f32 = 1024.0;
+// Most elements of a slot.
+override ELEMENTS_EACH: u32 = 1024u;
 // Pixels of the image that have to be covered for a box to be hidden.
 const TESTED_PX: f32 = 64.0;
 
@@ -37,7 +37,7 @@ fn layers_of(at: u32) -> f32 {
 // The number of turns in which to ask what is hidden; none where asking takes longer than drawing what could be hidden. `covered_px`: sum of the areas
 // of all slots' boxes; `behind`: layers that are not near.
 fn worthwhile_turns(slots: f32, covered_px: f32, layers: f32, behind: f32) -> u32 {
-    let elements = slots * ELEMENTS_EACH;
+    let elements = slots * f32(ELEMENTS_EACH);
     var closed = 1.0;
     if POINTS {
         let each_px = NEAR_LAYERS * elements / max(covered_px, 1.0);

@@ -9,10 +9,8 @@
 @group(1) @binding(0) var<storage, read> line_vertices: array<u32>;
 @group(1) @binding(1) var<storage, read> line_segments: array<vec2<u32>>;
 
-// Some segments of the page are tubes.
-override TUBES: bool = true;
-// Some segments of the page are ribbons.
-override RIBBONS: bool = true;
+// The lines of the page are ribbons.
+override RIBBONS: bool = false;
 
 // Words of a vertex: grid position, sRGB8 colour, radius in cells, normal, direction of the width.
 const LINE_WORDS: u32 = 7u;
@@ -31,7 +29,6 @@ struct Line {
     // Ribbons: half their widths at both ends.
     side_a: vec3<f32>,
     side_b: vec3<f32>,
-    is_ribbon: bool,
     // The part of the segment that this is: all of it, or what lies before the camera plane.
     range: vec2<f32>,
     // Word offsets of the vertices; flags and hash; number of the first vertex in its file.
@@ -99,13 +96,6 @@ fn line_cell(word: u32) -> vec3<i32> {
     return vec3<i32>(bitcast<i32>(line_vertices[word]), bitcast<i32>(line_vertices[word + 1u]), bitcast<i32>(line_vertices[word + 2u]));
 }
 
-fn is_ribbon(words: vec2<u32>) -> bool {
-    if !RIBBONS || !TUBES {
-        return RIBBONS;
-    }
-    return line_vertices[words.x + 5u] != NO_NORMAL || line_vertices[words.y + 5u] != NO_NORMAL;
-}
-
 fn side_of(at: Placed, word: u32) -> vec3<f32> {
     let side = camera_of(at, octahedral_decode(line_vertices[word + 6u]));
     let size = length_of(side);
@@ -164,8 +154,7 @@ fn line_of(at: Placed, scale: f32, vertex_first: u32, index: u32) -> Line {
     line.ab = camera_of(at, vec3<f32>(b - a));
     line.radius = scale * vec2<f32>(bitcast<f32>(line_vertices[line.words.x + 4u]), bitcast<f32>(line_vertices[line.words.y + 4u]));
     line.range = vec2<f32>(0.0, 1.0);
-    line.is_ribbon = is_ribbon(line.words);
-    if line.is_ribbon {
+    if RIBBONS {
         line.side_a = side_of(at, line.words.x);
         line.side_b = side_of(at, line.words.y);
     }
@@ -193,7 +182,7 @@ fn cut(range: vec2<f32>, from_a: f32, from_b: f32) -> vec2<f32> {
 
 // Width of a segment at a place, in pixels over the divisor.
 fn width_at(line: Line, share: f32, place: vec3<f32>, along: vec2<f32>) -> f32 {
-    if !line.is_ribbon {
+    if !RIBBONS {
         return 2.0 * mix(line.radius.x, line.radius.y, share) * width_focal();
     }
     let side = mix(line.side_a, line.side_b, share);
@@ -237,17 +226,17 @@ fn strip_of(line: Line) -> Strip {
     strip.z = vec2<f32>(p.z, q.z);
     strip.share = range;
     strip.width = vec2<f32>(width_at(line, range.x, p, strip.along), width_at(line, range.y, q, strip.along));
-    if (line.link & LINE_BEGINS) != 0u && range.x == 0.0 && !line.is_ribbon {
+    if (line.link & LINE_BEGINS) != 0u && range.x == 0.0 && !RIBBONS {
         strip.before = LINE_CAP * strip.width.x / divisor(p.z);
     }
-    if (line.link & LINE_ENDS) != 0u && range.y == 1.0 && !line.is_ribbon {
+    if (line.link & LINE_ENDS) != 0u && range.y == 1.0 && !RIBBONS {
         strip.behind = LINE_CAP * strip.width.y / divisor(q.z);
     }
     // Strips that are a pixel wide have round ends, which overlap: a line has no gaps where it bends within a pixel.
     strip.is_whole = strip_widths(strip).x * WHOLE >= 1.0;
     let overlap = select(0.0, 0.5, strip.is_whole);
-    strip.before = max(strip.before, select(overlap, 0.0, (line.link & LINE_BEGINS) != 0u && line.is_ribbon));
-    strip.behind = max(strip.behind, select(overlap, 0.0, (line.link & LINE_ENDS) != 0u && line.is_ribbon));
+    strip.before = max(strip.before, select(overlap, 0.0, (line.link & LINE_BEGINS) != 0u && RIBBONS));
+    strip.behind = max(strip.behind, select(overlap, 0.0, (line.link & LINE_ENDS) != 0u && RIBBONS));
     return strip;
 }
 
@@ -449,7 +438,7 @@ fn seen_line(line: Line) -> SeenLine {
     seen.line = line;
     seen.strip = strip_of(line);
     seen.widths = select(vec2<f32>(3e38), strip_widths(seen.strip), seen.strip.is_seen);
-    if line.is_ribbon && seen.widths.y >= 1.0 {
+    if RIBBONS && seen.widths.y >= 1.0 {
         seen.ribbon = ribbon_of(line);
     }
     return seen;
@@ -460,7 +449,7 @@ fn meet_line(seen: SeenLine, pixel: vec2<f32>) -> LineHit {
     var hit: LineHit;
     let ray = ray_through(pixel);
     if seen.widths.y >= 1.0 {
-        if seen.line.is_ribbon {
+        if RIBBONS {
             hit = meet_ribbon(seen.ribbon, ray);
             if hit.z > 0.0 && seen.widths.x < 1.0 {
                 hit.width_px = ribbon_width(seen, pixel);

@@ -105,7 +105,7 @@ fn line_bounds(seen: SeenLine) -> LineBounds {
         return bounds;
     }
     var reach = 0.0;
-    if line.is_ribbon {
+    if RIBBONS {
         let far_off = vec2<f32>(1e8);
         let a0 = clamp(image_position(line.a - line.side_a), -far_off, far_off);
         let a1 = clamp(image_position(line.a + line.side_a), -far_off, far_off);

@@ -152,6 +152,8 @@ pub enum PackError {
     NotFinite { index: usize },
     #[error("the radius of vertex {index} is not a finite number of 0 or more")]
     Radius { index: usize },
+    #[error("the normal of vertex {index} has no direction")]
+    Normal { index: usize },
     #[error("strands do not cover the vertices in order, or an attribute has another length")]
     Strands,
     #[error("the levels of detail have more than 4,294,967,295 vertices")]

@@ -244,7 +244,7 @@ fn find(engine: &Engine, info: &SceneInfo, name: &str) -> anyhow::Result<CameraP
 }
 
 /// Bakes what the frames need, with a bar: point trees, or normals and kernels of large clouds.
-fn bake(engine: &Engine, request: &FrameRequest) -> anyhow::Result<()> {
+pub(super) fn bake(engine: &Engine, request: &FrameRequest) -> anyhow::Result<()> {
     let Some(mut ticket) = engine.begin_bake(request)? else { return Ok(()) };
     let bar = progress_bar();
     bar.set_message("baking");

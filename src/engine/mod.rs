@@ -343,17 +343,17 @@ impl Engine {
         }
     }
 
-    /// Returns the strong entity tag (quoted) of the frame for `request`. Blocks as [`Engine::resolve_blocking`] does.
+    /// Finds what is wrong with a request, without deciding how the frame is drawn.
     ///
     /// # Errors
-    /// As [`Engine::resolve_blocking`].
-    pub fn etag(&self, request: &FrameRequest) -> Result<String, EngineError> {
-        Ok(self.resolve_blocking(request.clone())?.etag().to_owned())
+    /// Those of [`Engine::resolve`].
+    pub fn check(&self, request: &FrameRequest) -> Result<(), EngineError> {
+        resolve::lacking(self.state(), request).map(drop)
     }
 
     /// Returns whether a frame for this request must wait for a bake, which [`Engine::bake`] does. A request that is refused need not.
     pub fn must_bake(&self, request: &FrameRequest) -> bool {
-        matches!(self.resolve(request.clone()), Ok(Resolution::NeedsBake(_)))
+        matches!(resolve::lacking(self.state(), request), Ok(Some(_)))
     }
 
     /// Builds what a request needs and is missing: the scene's point trees, or normals and kernels of large clouds. Blocks for

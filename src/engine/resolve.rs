@@ -227,9 +227,8 @@ pub fn resolve_in(
         hook();
     }
     let request = request.with_antialias_decided();
-    let checked = check(state, &loaded, &request)?;
-    let (drawn, full_because) = with_detail(state, &loaded, &request, &checked.view);
-    let baked = match goal_of(&loaded, &drawn, &checked.view) {
+    let Ground { checked, drawn, full_because, lacks } = ground(state, &loaded, &request)?;
+    let baked = match lacks {
         None if !drawn.settings.draws_trees() => Ok((loaded.model.clone(), loaded.facts)),
         None => {
             loaded.trees().transpose()?.map(|trees| (trees.model, trees.facts)).ok_or(Goal::Trees)
@@ -243,6 +242,36 @@ pub fn resolve_in(
             Resolution::NeedsBake(Box::new(UnbakedFrame { state, scene: loaded, goal, request }))
         }
     })
+}
+
+/// Returns what a bake has to make before a frame for this request can be drawn; `None` if nothing is missing. Decides no more than
+/// that, so it takes no time worth mentioning.
+///
+/// # Errors
+/// As [`resolve`].
+pub fn lacking(state: &EngineState, request: &FrameRequest) -> Result<Option<Goal>, EngineError> {
+    let loaded = state.loaded(&request.scene)?;
+    let request = request.clone().with_antialias_decided();
+    Ok(ground(state, &loaded, &request)?.lacks)
+}
+
+/// A checked request whose level of detail is decided.
+struct Ground {
+    checked: Checked,
+    drawn: FrameRequest,
+    full_because: Option<String>,
+    lacks: Option<Goal>,
+}
+
+fn ground(
+    state: &EngineState,
+    loaded: &Loaded,
+    request: &FrameRequest,
+) -> Result<Ground, EngineError> {
+    let checked = check(state, loaded, request)?;
+    let (drawn, full_because) = with_detail(state, loaded, request, &checked.view);
+    let lacks = goal_of(loaded, &drawn, &checked.view);
+    Ok(Ground { checked, drawn, full_because, lacks })
 }
 
 /// How samples of a frame are drawn.

@@ -83,12 +83,14 @@ impl Kind {
 
 /// Refuses parameters that the kind does not have.
 fn check(kind: Kind, parameters: &Parameters) -> Result<(), GenerateError> {
+    // All of them: a new field does not compile before it stands here.
+    let Parameters { seed: _, points, triangles, size, count, form } = parameters;
     let given = [
-        ("points", parameters.points.is_some()),
-        ("triangles", parameters.triangles.is_some()),
-        ("size", parameters.size.is_some()),
-        ("count", parameters.count.is_some()),
-        ("form", parameters.form.is_some()),
+        ("points", points.is_some()),
+        ("triangles", triangles.is_some()),
+        ("size", size.is_some()),
+        ("count", count.is_some()),
+        ("form", form.is_some()),
     ];
     let known = kind.parameters();
     let is_unknown = |(name, is_given): &(&str, bool)| *is_given && !known.contains(name);

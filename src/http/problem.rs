@@ -304,9 +304,12 @@ impl From<EngineError> for Problem {
                 ),
             },
             EngineError::OverLimit { what, limit, parameter, .. } => {
-                let accepted = format!(
-                    "at most {limit} {what}; GET /v1/limits lists all limits, those of frames without antialiasing"
-                );
+                // Limits of frames, which antialiasing lowers.
+                let listed = match parameter {
+                    Some(_) => "GET /v1/limits lists all limits, those of frames without antialiasing",
+                    None => "GET /v1/limits lists all limits",
+                };
+                let accepted = format!("at most {limit} {what}; {listed}");
                 let problem = Problem::new(Kind::OverLimit, text).accepted(accepted);
                 parameter.into_iter().fold(problem, Problem::at)
             }

@@ -100,10 +100,13 @@ impl FrameTask {
         (width / self.parts, height / self.parts)
     }
 
-    /// Returns whether splats' normals and depths are blended too: pixels are lit afterwards, or an effect needs depths.
+    /// Returns whether splats' normals and depths are blended too: pixels are lit or coloured by them afterwards, or an effect needs depths.
     pub fn is_deferred(&self) -> bool {
-        (self.reconstruction.shades(Shading::Deferred) && self.plan.lights_pixels)
-            || self.plan.runs(Pass::WriteOutput)
+        let colors_by_surface =
+            matches!(self.recolor, Some(Recolor::Normal | Recolor::Height { .. }));
+        let is_lit = self.reconstruction.shades(Shading::Deferred) && self.plan.lights_pixels;
+        let is_color = self.output == Output::Color;
+        is_lit || (is_color && colors_by_surface) || self.plan.runs(Pass::WriteOutput)
     }
 
     /// Whether rays are parallel. All views of a task have one projection.

@@ -90,7 +90,8 @@ fn points_are_drawn_before_anything_is_estimated() {
     for request in modest() {
         assert!(!studio.engine.must_bake(&request), "{request:?}");
         same(&studio.bytes(&request), &eager.bytes(&request), &format!("{request:?}"));
-        let [a, b] = [&studio, &eager].map(|studio| studio.engine.etag(&request).unwrap());
+        let [a, b] =
+            [&studio, &eager].map(|studio| super::studio::etag(&studio.engine, &request).unwrap());
         assert_eq!(a, b, "what a frame shows does not depend on when normals are estimated");
     }
     for scene in ["cloud", "lit"] {
@@ -119,7 +120,8 @@ fn frames_that_need_estimates_wait_and_are_those_of_a_whole_scene() {
         let mark = studio.engine.scene_mark(scene).unwrap();
         assert!(mark != before.1 && mark.revision == before.1.revision);
         same(&studio.bytes(&points), &before.0, "points");
-        let etags = [&studio, &eager].map(|studio| studio.engine.etag(&request).unwrap());
+        let etags =
+            [&studio, &eager].map(|studio| super::studio::etag(&studio.engine, &request).unwrap());
         assert_eq!(etags[0], etags[1]);
     }
 }
@@ -324,7 +326,7 @@ fn large_clouds_are_kept_from_one_process_to_the_next() {
         let (studio, told) = again(root, cache);
         let was_read = told.load(Ordering::Relaxed) > 0;
         let found = (was_read, state(&studio, "cloud"));
-        let etag = studio.engine.etag(&points).unwrap();
+        let etag = super::studio::etag(&studio.engine, &points).unwrap();
         let mut frames = vec![studio.bytes(&points), etag.into_bytes()];
         if needs_splats {
             frames.push(studio.bytes(&splats));

@@ -138,7 +138,7 @@ fn frames_are_those_that_draw_what_is_hidden() {
             load(&studio);
             studio
         });
-        let (mut fewer, mut fewer_splats) = (0, 0);
+        let (mut fewer, mut fewer_splats, mut fewer_segments) = (0, 0, 0);
         let wide =
             views().into_iter().take(2).map(|view| FrameRequest { scene: "wide".into(), ..view });
         for (number, view) in views().into_iter().chain(wide).enumerate() {
@@ -155,6 +155,10 @@ fn frames_are_those_that_draw_what_is_hidden() {
                     let tested = [&found, &all].map(|frame| frame.receipt.triangles.tested);
                     assert!(tested[0] <= tested[1], "{what}: {tested:?}");
                     fewer += usize::from(2 * tested[0].unwrap_or(0) < tested[1].unwrap_or(0));
+                    let tested = [&found, &all].map(|frame| frame.receipt.segments.tested);
+                    assert!(tested[0] <= tested[1], "{what}: {tested:?}");
+                    fewer_segments +=
+                        usize::from(4 * tested[0].unwrap_or(0) < 3 * tested[1].unwrap_or(0));
                     let tested = [&found, &all].map(|frame| frame.receipt.samples.tested);
                     assert!(tested[0] <= tested[1], "{what}: {tested:?}");
                     let splats = settings.reconstruct == Reconstruct::Splats;
@@ -165,6 +169,11 @@ fn frames_are_those_that_draw_what_is_hidden() {
         }
         // Along the rows most chunks are hidden, at any level of detail.
         assert!(fewer >= 12, "in {fewer} frames less than half was drawn");
+        println!("{fewer} {fewer_splats} {fewer_segments}");
+        assert!(
+            fewer_segments >= 6,
+            "in {fewer_segments} frames a quarter of the segments was left out"
+        );
         assert!(fewer_splats >= 6, "in {fewer_splats} frames a quarter of the splats was left out");
     }
 }

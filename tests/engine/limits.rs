@@ -154,7 +154,7 @@ fn poses_that_are_none() {
         };
         assert_eq!(parameter, wrong, "{:?}", request.pose);
         assert!(!reason.is_empty() && !accepted.is_empty());
-        assert!(studio.engine.etag(&request).is_err());
+        assert!(super::studio::etag(&studio.engine, &request).is_err());
     }
     let mut request = front("cloud", 40, 40);
     for quality in [0, 101, 255] {

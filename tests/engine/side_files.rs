@@ -36,7 +36,7 @@ fn sees_change(studio: &Studio, file: &str, change: &dyn Fn(), restore: &dyn Fn(
     let look = || {
         studio.load("x", file);
         let request = seen_from_fixed("x");
-        let seen = (studio.bytes(&request), studio.engine.etag(&request).unwrap());
+        let seen = (studio.bytes(&request), super::studio::etag(&studio.engine, &request).unwrap());
         studio.engine.remove("x").unwrap();
         seen
     };
@@ -186,7 +186,7 @@ fn another_up_direction_has_other_tags() {
     let seen = [DVec3::X, DVec3::Y].map(|up| {
         let source = Source { up: Some(up), ..Source::at(studio.folder().join("cloud.ply")) };
         studio.engine.load_within("x", &source, &studio.engine.admission()).unwrap();
-        let seen = (studio.bytes(&request), studio.engine.etag(&request).unwrap());
+        let seen = (studio.bytes(&request), super::studio::etag(&studio.engine, &request).unwrap());
         studio.engine.remove("x").unwrap();
         seen
     });

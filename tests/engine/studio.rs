@@ -14,6 +14,11 @@ use pointillist::math::{Camera, Lens};
 use pointillist::plan::{Lod, MaxError, Output, Reconstruct, Settings};
 use serde_json::{Value, json};
 
+/// The entity tag of a frame, after the bake that it needs. Blocks.
+pub fn etag(engine: &Engine, request: &FrameRequest) -> Result<String, EngineError> {
+    Ok(engine.resolve_blocking(request.clone())?.etag().to_owned())
+}
+
 pub struct Studio {
     pub engine: Engine,
     folder: tempfile::TempDir,

@@ -43,7 +43,8 @@ fn colours_by_a_value_are_the_oracles() {
     let view = look([0.4, 1.0, 3.0], [0.0; 3], 45.0);
     let flat = orthographic::look([0.4, 1.0, 3.0], [0.0; 3], 2.4);
     let points = Settings { reconstruct: Reconstruct::Points, ..Settings::default() };
-    for (name, rest) in [("by", json!({})), ("by-lit", lights)] {
+    let unlit = json!({ "lights": [] });
+    for (name, rest) in [("by", json!({})), ("by-lit", lights), ("by-unlit", unlit)] {
         let cloud = case(name, &ball(4000, 51), rest.clone());
         let shape = Shape { colors: Vec::new(), ..Shape::ball(16, 1.0) };
         let mesh = case(&format!("{name}-mesh"), &shape, rest);

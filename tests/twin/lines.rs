@@ -295,7 +295,7 @@ fn lines_are_no_thinner_than_asked() {
         for px in [1.0, 3.0, 12.0] {
             let [differ, covered] = compared(&case, &view, px);
             println!("{px} px: {differ} of {covered} covered pixels differ");
-            // Strips of one pixel have square ends where tubes have round ones, and the columns of their own direction.
+            // A strip of one pixel covers the pixels of its columns or rows, where a tube covers those whose rays meet it.
             let share = if px == 1.0 { 3 } else { 50 };
             assert!(covered > 700 && differ * share < covered, "{px}: {differ} of {covered}");
         }

@@ -187,23 +187,14 @@ pub struct PageKind {
     pub clipped: bool,
     /// Words of a sample's scalar fields.
     pub value_words: u8,
-    /// Some lines are tubes.
-    pub tubes: bool,
-    /// Some lines are ribbons.
+    /// Lines are ribbons.
     pub ribbons: bool,
 }
 
 impl PageKind {
     /// Pages of elements without additional words.
     pub const fn plain(kind: GeometryKind) -> PageKind {
-        PageKind {
-            kind,
-            nodes: false,
-            clipped: false,
-            value_words: 0,
-            tubes: false,
-            ribbons: false,
-        }
+        PageKind { kind, nodes: false, clipped: false, value_words: 0, ribbons: false }
     }
 }
 

@@ -95,7 +95,7 @@ fn strand_word(strand: u32, begins: bool, ends: bool) -> u32 {
     hash | if begins { BEGINS } else { 0 } | if ends { ENDS } else { 0 }
 }
 
-/// Checks what a reader promises: lengths, order of strands, radii.
+/// Checks what a reader promises: lengths, order of strands, radii, normals.
 fn check_lines(lines: &Polylines) -> Result<(), PackError> {
     let count = lines.positions.len();
     let is_sorted = lines.strands.windows(2).all(|ends| ends[0] < ends[1]);
@@ -110,8 +110,11 @@ fn check_lines(lines: &Polylines) -> Result<(), PackError> {
         return Err(PackError::Strands);
     }
     let is_radius = |&radius: &f32| radius >= 0.0 && radius.is_finite();
-    match lines.radii.iter().flatten().position(|radius| !is_radius(radius)) {
-        Some(index) => Err(PackError::Radius { index }),
+    if let Some(index) = lines.radii.iter().flatten().position(|radius| !is_radius(radius)) {
+        return Err(PackError::Radius { index });
+    }
+    match lines.normals.iter().flatten().position(|&normal| octahedral(normal) == NO_NORMAL) {
+        Some(index) => Err(PackError::Normal { index }),
         None => Ok(()),
     }
 }
@@ -475,10 +478,10 @@ impl PackedKind for PackedLines {
     }
 
     fn page(&self, chunk: &PackedChunk) -> PageKind {
-        let vertices = &self.vertices[chunk.vertices()];
+        // The lines of a geometry are all ribbons or all tubes.
+        let first = self.vertices[chunk.vertices()].first();
         PageKind {
-            tubes: vertices.iter().any(|words| words[5] == NO_NORMAL),
-            ribbons: vertices.iter().any(|words| words[5] != NO_NORMAL),
+            ribbons: first.is_some_and(|words| words[5] != NO_NORMAL),
             ..PageKind::plain(GeometryKind::Lines)
         }
     }

@@ -3,6 +3,7 @@
 use glam::{DVec2, DVec3, Vec4};
 
 use super::{Face, barycentric};
+use crate::assets::tidy::srgb_byte_from_linear;
 use crate::assets::{Filter, Material, Mesh, Texture, Wrap};
 use crate::scene::color::linear_from_srgb;
 
@@ -123,13 +124,9 @@ impl<'a> Colors<'a> {
         }
         let [r, g, b, a] = color.to_array();
         let byte = |unit: f32| (unit.clamp(0.0, 1.0) * 255.0).round() as u8;
-        Some([byte(srgb(r)), byte(srgb(g)), byte(srgb(b)), byte(a)])
+        let [r, g, b] = [r, g, b].map(srgb_byte_from_linear);
+        Some([r, g, b, byte(a)])
     }
-}
-
-fn srgb(linear: f32) -> f32 {
-    let linear = linear.clamp(0.0, 1.0);
-    if linear <= 0.003_130_8 { linear * 12.92 } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }
 }
 
 impl Pyramid {

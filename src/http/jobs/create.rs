@@ -14,7 +14,7 @@ use utoipa::ToSchema;
 
 use super::wire::{JobState, film_problem, job_problem, video_problem};
 use super::{jobs, no_query};
-use crate::encode::{self, ImageFormat};
+use crate::encode::ImageFormat;
 use crate::engine::RequestId;
 use crate::film::video::{Coder, Reel};
 use crate::http::frame::missing;
@@ -249,11 +249,9 @@ fn check(app: &App, spec: &Spec) -> Result<(u64, f64), Problem> {
     app.engine
         .scene(&spec.scene)
         .map_err(|error| missing(app, &spec.scene, error.into()).at("scene"))?;
-    encode::accepts(request.format, request.output)
-        .map_err(|error| Problem::new(Kind::BadParameter, error.to_string()).at("format"))?;
     let shots = find_shots(&app.engine, spec).map_err(film_problem)?;
-    let resolved = app.engine.resolve(request.clone());
-    resolved.map_err(|error| missing(app, &spec.scene, error.into()))?;
+    let checked = app.engine.check(&request);
+    checked.map_err(|error| missing(app, &spec.scene, error.into()))?;
     if spec.want.video {
         let coder = Coder::find().map_err(video_problem)?;
         Reel::new(&request, &shots, spec.want.bitrate_kbps).check(&coder).map_err(video_problem)?;

@@ -327,7 +327,7 @@ impl Session {
         let PoseMessage { seq, moving, reset, params } = message;
         let params = if reset { params } else { params.or(&self.settings) };
         let checked = still_request(&self.id, &params)
-            .and_then(|request| self.app.engine.resolve(request).map(drop).map_err(Problem::from));
+            .and_then(|request| self.app.engine.check(&request).map_err(Problem::from));
         match checked {
             // The session is about to be told that the scene is gone.
             Err(problem) if problem.kind == Kind::UnknownScene => Ok(()),

@@ -3,7 +3,7 @@
 use super::{choices, constants, light_constants, tiles};
 use crate::bake::pack::GeometryKind;
 use crate::gpu::shader::ShaderError;
-use crate::passes::lines::line_constants;
+use crate::passes::lines::line_constant;
 use crate::passes::recorder::{Call, Recorder};
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
@@ -16,7 +16,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     for segment in segments {
         recorder.compute(Call {
             choices: choices(recorder),
-            constants: [constants.clone(), line_constants(recorder, segment).to_vec()].concat(),
+            constants: [constants.clone(), vec![line_constant(recorder, segment)]].concat(),
             segments: &[segment],
             launch: tiles(recorder),
         })?;

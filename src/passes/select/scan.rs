@@ -1,5 +1,6 @@
 //! Where the visible entries of each segment will lie, how its passes are launched, and in how many turns hidden ones are looked for.
 
+use crate::bake::pack::CHUNK;
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::Recorder;
 use crate::plan::Pass;
@@ -8,7 +9,7 @@ use crate::plan::Pass;
 /// pixel of the image. Measured on lavapipe: 20, 330 and 60 ns, and 1.6 ns.
 const POINT_COST: u32 = 12;
 const SPLAT_COST: u32 = 200;
-const ELEMENT_COST: u32 = 40;
+const TRIANGLE_COST: u32 = 40;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let (groups, views) = (1, recorder.task.count());
@@ -21,9 +22,13 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
         let cost = match is_drawn(Pass::ProjectSplats) {
             true => SPLAT_COST,
             false if points_alone => POINT_COST,
-            false => ELEMENT_COST,
+            false => TRIANGLE_COST,
         };
-        constants.extend([("POINTS", u32::from(points_alone)), ("ELEMENT_COST", cost)]);
+        constants.extend([
+            ("POINTS", u32::from(points_alone)),
+            ("ELEMENT_COST", cost),
+            ("ELEMENTS_EACH", CHUNK as u32),
+        ]);
     }
     recorder.rows(groups, views, constants)
 }
