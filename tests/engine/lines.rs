@@ -9,9 +9,9 @@ use pointillist::math::{Camera, Lens};
 use pointillist::plan::{Output, Pass, Reconstruct, Settings};
 use pointillist::scene::color::linear_from_srgb;
 use pointillist::scene::random::SplitMix64;
-use serde_json::json;
+use serde_json::{Value, json};
 
-use super::studio::{Studio, cloud, covered, front, spt};
+use super::studio::{Studio, cloud, covered, depths, front, spt};
 
 /// A VTK file of two strands: one along x, one along y.
 const CROSS: &str = "# vtk DataFile Version 3.0\ncross\nASCII\nDATASET POLYDATA\nPOINTS 5 float\n\
@@ -135,6 +135,52 @@ fn a_scene_says_how_thick_lines_are() {
     studio.write("bad.json", r#"{ "assets": { "a": { "file": "p.ply", "line_radius": 1 } }, "nodes": [{ "asset": "a" }] }"#);
     let error = studio.try_load("bad", "bad.json").unwrap_err().to_string();
     assert!(error.contains("line_radius") && error.contains("no lines"), "{error}");
+}
+
+/// A leaf of a quad over a floor: both are drawn where they were, and the leaf counts as a segment.
+#[test]
+fn leaves_of_a_mesh_become_lines() {
+    let studio = Studio::new();
+    let corners = "v -1 0 0.1\nv -1 0.2 0.1\nv 1 0.2 0.1\nv 1 0 0.1\n";
+    let floor = "v -9 -9 0\nv 9 -9 0\nv 9 9 0\nv -9 9 0\n";
+    studio.write("leaf.obj", format!("{corners}{floor}f 1 2 3 4\nf 5 6 7 8\n"));
+    let scene = |as_lines: Value| {
+        let mut scene = json!({
+            "assets": { "a": { "file": "leaf.obj" } },
+            "nodes": [{ "asset": "a" }],
+            "cameras": { "front": { "eye": [0, 0, 3], "target": [0, 0, 0], "fov": 45 } }
+        });
+        if !as_lines.is_null() {
+            scene["assets"]["a"]["as_lines"] = as_lines;
+        }
+        scene
+    };
+    let drawn = |id: &str| {
+        depths(&studio.bytes(&FrameRequest { output: Output::Depth, ..front(id, 90, 80) }))
+    };
+    studio.load_json("mesh", &scene(Value::Null));
+    studio.load_json("lines", &scene(json!({})));
+    let info = studio.engine.scene("lines").unwrap();
+    assert_eq!((info.triangles, info.segments), (2, 1));
+    let [mesh, lines] = ["mesh", "lines"].map(drawn);
+    let differing = mesh.iter().zip(&lines).filter(|(a, b)| (*a - *b).abs() > 1e-3).count();
+    assert!(differing < 90, "{differing} pixels show another depth");
+    for (as_lines, reason) in [
+        (json!({ "leaves": false }), "no leaves"),
+        (json!({ "max_radius": 0.01 }), "no leaves"),
+        (json!({ "leaves": false, "branches": false }), "needs `leaves` or `branches`"),
+        (json!({ "max_radius": 0 }), "max_radius"),
+        (json!({ "twigs": true }), "twigs"),
+    ] {
+        studio.write("bad.json", scene(as_lines).to_string());
+        let error = studio.try_load("bad", "bad.json").unwrap_err().to_string();
+        assert!(error.contains("as_lines") && error.contains(reason), "{error}");
+    }
+    let mut both = scene(json!({}));
+    both["assets"]["a"]["line_radius"] = 0.1.into();
+    studio.write("bad.json", both.to_string());
+    let error = studio.try_load("bad", "bad.json").unwrap_err().to_string();
+    assert!(error.contains("cannot stand beside `as_lines`"), "{error}");
 }
 
 /// A sheaf of white fibres along z that spread at its ends, 1.2 wide and 2 long.
