@@ -37,7 +37,8 @@ fn what_a_tree_cannot_save_is_drawn_in_full() {
         let mut full = request.clone();
         full.settings.lod = Lod::Full;
         same(&frame.bytes, &studio.bytes(&full), "full detail");
-        let tags = [&request, &full].map(|request| studio.engine.etag(request).unwrap());
+        let tags =
+            [&request, &full].map(|request| super::studio::etag(&studio.engine, request).unwrap());
         assert_eq!(tags[0], tags[1], "one frame has one tag");
     }
     let full = studio.frame(&FrameRequest { ..front("ball", 64, 64) });
