@@ -7,13 +7,13 @@ use super::input::Input;
 use super::warnings::condensed;
 use super::{
     Asset, AssetError, ReadOptions, e57, gltf, hair, las, obj, off, pcd, ply, ptx, stl, swc, tck,
-    trk, vtk, xyz,
+    trk, trx, vtk, xyz,
 };
 
 /// Extensions of the formats that are read, in lower case; each may be followed by `.gz`.
 pub const FORMATS: &[&str] = &[
     "ply", "las", "laz", "obj", "stl", "gltf", "glb", "xyz", "pts", "csv", "txt", "ptx", "pcd",
-    "off", "e57", "swc", "tck", "trk", "vtk", "vtp", "hair",
+    "off", "e57", "swc", "tck", "trk", "trx", "vtk", "vtp", "hair",
 ];
 
 /// Whether a file of this name is worth offering to [`read`].
@@ -43,6 +43,7 @@ enum Format {
     Swc,
     Tck,
     Trk,
+    Trx,
     /// The legacy format of VTK.
     Vtk,
     /// The XML format of VTK.
@@ -72,14 +73,19 @@ pub fn read(path: &Path, options: &ReadOptions) -> Result<Asset, AssetError> {
         Format::Vtk => vtk::read_legacy(input, options),
         Format::Vtp => vtk::read_xml(input, options),
         Format::Hair => hair::read_from(input, options),
-        format @ (Format::Las | Format::E57 | Format::Pcd | Format::Ptx | Format::Xyz) => {
+        format @ (Format::Las
+        | Format::E57
+        | Format::Pcd
+        | Format::Ptx
+        | Format::Xyz
+        | Format::Trx) => {
             if input.origin.exact {
-                read_samples(format, path, &name, options)
+                read_path(format, path, &name, options)
             } else if let Some(read) = streamed(format) {
                 read(input.reader, &name, options)
             } else {
                 let unpacked = unpack(input)?;
-                read_samples(format, unpacked.path(), &name, options)
+                read_path(format, unpacked.path(), &name, options)
             }
         }
         Format::Refused(what) => {
@@ -151,8 +157,8 @@ fn streamed(format: Format) -> Option<Streamed> {
     }
 }
 
-/// The formats that hold samples only.
-fn read_samples(
+/// The formats whose readers open the file themselves.
+fn read_path(
     format: Format,
     path: &Path,
     name: &str,
@@ -163,6 +169,7 @@ fn read_samples(
         Format::E57 => e57::read(path, name, options),
         Format::Pcd => pcd::read(path, name, options),
         Format::Ptx => ptx::read(path, name, options),
+        Format::Trx => trx::read(path, name, options),
         _ => xyz::read(path, name, options),
     }
 }
@@ -184,11 +191,17 @@ fn recognise(head: &[u8], name: &str) -> Format {
     if head.is_empty() {
         return Format::Unknown;
     }
+    if head.starts_with(ZIP) && extension(name) == "trx" {
+        return Format::Trx;
+    }
     by_signature(head)
         .or_else(|| by_extension(&extension(name), head))
         .or_else(|| by_text(head))
         .unwrap_or(Format::Unknown)
 }
+
+/// First bytes of a ZIP archive. TRX files are some, with an entry or an extension of their own.
+const ZIP: &[u8] = b"PK\x03\x04";
 
 /// First bytes that settle it.
 const SIGNATURES: [(&[u8], Format); 14] = [
@@ -203,12 +216,15 @@ const SIGNATURES: [(&[u8], Format); 14] = [
     (b"# vtk DataFile", Format::Vtk),
     (b"HAIR", Format::Hair),
     (b"ISO-10303-21", Format::Refused("a STEP file holds CAD solids, which are not offered")),
-    (b"PK\x03\x04", Format::Refused("a ZIP archive (3MF, USDZ, KMZ) is not offered: unpack it")),
+    (ZIP, Format::Refused("a ZIP archive (3MF, USDZ, KMZ) is not offered: unpack it")),
     (b"\x89PNG", Format::Refused("is an image, not a scene of points or meshes")),
     (b"\xff\xd8\xff", Format::Refused("is an image, not a scene of points or meshes")),
 ];
 
 fn by_signature(head: &[u8]) -> Option<Format> {
+    if head.starts_with(ZIP) && contains(head, b"header.json") {
+        return Some(Format::Trx);
+    }
     let signed = SIGNATURES.iter().find(|(signature, _)| head.starts_with(signature));
     if let Some((_, format)) = signed {
         return Some(*format);
@@ -254,6 +270,7 @@ fn by_extension(extension: &str, head: &[u8]) -> Option<Format> {
         "drc" => Format::Refused("Draco compression is not offered"),
         "tck" => Format::Tck,
         "trk" => Format::Trk,
+        "trx" => Format::Trx,
         "vtk" => Format::Vtk,
         "vtp" => Format::Vtp,
         "hair" => Format::Hair,
@@ -419,7 +436,7 @@ mod tests {
         #[test]
         fn random_bytes_never_panic(
             bytes in prop::collection::vec(any::<u8>(), 0..300),
-            extension in prop::sample::select(vec!["ply", "obj", "stl", "off", "gltf", "glb", "swc", "tck", "trk", "vtk", "vtp", "hair", "x"]),
+            extension in prop::sample::select(vec!["ply", "obj", "stl", "off", "gltf", "glb", "swc", "tck", "trk", "trx", "vtk", "vtp", "hair", "x"]),
         ) {
             let _ = read_file(&format!("a.{extension}"), &bytes);
         }

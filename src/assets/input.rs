@@ -20,7 +20,7 @@ const BUFFER_BYTES: usize = 256 << 10;
 /// A stream of unknown length is admitted in such pieces.
 const PIECE_BYTES: u64 = 1 << 20;
 /// Deflate cannot expand a byte to more than this.
-const DEFLATE_RATIO: u64 = 1032;
+pub(super) const DEFLATE_RATIO: u64 = 1032;
 /// Vectors are reserved in full only up to this many entries when the bound is not exact.
 const INEXACT_RESERVE: usize = 1 << 20;
 

@@ -33,6 +33,7 @@ mod texture;
 pub(crate) mod tidy;
 mod tokens;
 pub mod trk;
+pub mod trx;
 pub mod vtk;
 pub mod warnings;
 pub mod xyz;
@@ -320,7 +321,7 @@ pub struct ReadOptions {
     pub max_triangles: u64,
     /// Texels of all textures together.
     pub max_texels: u64,
-    /// Bytes after decompression (`.gz`, LAZ, PCD).
+    /// Bytes after decompression (`.gz`, LAZ, PCD, TRX).
     pub max_decompressed_bytes: u64,
     /// Files that the asset names (MTL, textures, glTF buffers) are only read below this folder;
     /// `None` allows the asset's own folder only.

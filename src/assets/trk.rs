@@ -26,7 +26,7 @@ const BLOCK_BYTES: usize = 64 << 10;
 /// A longer streamline is read in such pieces.
 const PIECE_BYTES: usize = 1 << 20;
 /// Names of scalars that are colours.
-const COLORS: [&str; 5] = ["color", "colors", "colour", "colours", "rgb"];
+pub(super) const COLORS: [&str; 5] = ["color", "colors", "colour", "colours", "rgb"];
 
 /// Reads the file at `path`, gzipped or not; `name` begins every error.
 ///
