@@ -36,6 +36,7 @@ pub mod passes;
 pub mod plan;
 pub mod residency;
 pub mod scene;
+mod spelling;
 
 /// The version that `--version` and reports name.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");

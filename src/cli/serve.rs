@@ -25,9 +25,10 @@ use crate::assets::ReadOptions;
 use crate::engine::{Engine, EngineConfig, PrimeConfig};
 use crate::http::access::{Access, Reread, parse_keys};
 use crate::http::server::serve;
-use crate::http::{App, Settings, StreamLimits, UploadLimits, WatchLimits, nearest};
+use crate::http::{App, Settings, StreamLimits, UploadLimits, WatchLimits};
 use crate::memory::{self, HostMemory};
 use crate::scene::Up;
+use crate::spelling::nearest;
 
 mod claim;
 mod files;

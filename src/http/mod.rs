@@ -73,7 +73,7 @@ pub use jobs::WatchLimits;
 pub use names::slug;
 pub use openapi::{openapi_json, openapi_yaml};
 pub use params::{DEFAULT_FOV_DEG, DEFAULT_QUALITY, DEFAULT_SIDE};
-pub use problem::{Problem, nearest};
+pub use problem::Problem;
 pub use stream::StreamLimits;
 pub use upload::quota::UploadLimits;
 

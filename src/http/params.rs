@@ -24,6 +24,7 @@ use crate::json::whole;
 use crate::math::{Camera, Lens, Projection, View};
 use crate::plan::{Given, Output, SettingError, Settings, Wait};
 use crate::scene::{Up, UpForm};
+use crate::spelling::suggestion;
 
 /// Default width and height of a frame.
 pub const DEFAULT_SIDE: u32 = 1024;
@@ -388,9 +389,11 @@ fn choice<T: DeserializeOwned + Default>(name: &str, word: Option<&str>) -> Resu
     let deserializer: StrDeserializer<'_, serde::de::value::Error> = word.into_deserializer();
     T::deserialize(deserializer).map_err(|error| {
         let text = error.to_string();
-        let accepted = text.split_once("expected ").map_or("", |(_, list)| list).replace('`', "");
-        let accepted = accepted.trim_start_matches("one of ").to_owned();
-        Problem::parameter(name, format!("`{}` is not available", shown(word)), accepted)
+        let list = text.rsplit_once("expected ").map_or("", |(_, list)| list);
+        let word = shown(word);
+        let near = suggestion(&word, list.split('`').skip(1).step_by(2));
+        let accepted = list.trim_start_matches("one of ").replace('`', "");
+        Problem::parameter(name, format!("`{word}` is not available{near}"), accepted)
     })
 }
 

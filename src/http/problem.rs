@@ -376,20 +376,6 @@ pub fn storage(error: &std::io::Error) -> Problem {
     Problem::new(Kind::OutOfDisk, detail)
 }
 
-/// Returns the known name nearest to `name`, if one is near enough to be meant.
-pub fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    let lower = name.to_lowercase();
-    // A candidate of one or two letters would match every longer name that begins with it.
-    let is_short = |candidate: &str| candidate.len() <= 2 && lower.len() > candidate.len() + 1;
-    known
-        .into_iter()
-        .filter(|candidate| !is_short(candidate))
-        .map(|candidate| (strsim::jaro_winkler(&lower, candidate), candidate))
-        .filter(|(likeness, _)| *likeness >= 0.7)
-        .max_by(|a, b| a.0.total_cmp(&b.0))
-        .map(|(_, candidate)| candidate)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -462,15 +448,5 @@ mod tests {
         assert_eq!(refused(101).status(), 413);
         drop(held);
         assert!(memory.reserve("a.ply", 20).is_ok());
-    }
-
-    #[test]
-    fn suggestions_need_likeness() {
-        let known = ["reconstruct", "camera", "format"];
-        assert_eq!(nearest("reconstuct", known), Some("reconstruct"));
-        assert_eq!(nearest("Camera", known), Some("camera"));
-        assert_eq!(nearest("zzz", known), None);
-        assert_eq!(nearest("hello", ["h", "up"]), None);
-        assert_eq!(nearest("hh", ["h", "up"]), Some("h"));
     }
 }

@@ -10,10 +10,11 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::problem::{Kind, Problem, nearest};
+use super::problem::{Kind, Problem};
 use super::{App, NoQuery, Phase, ROUTES, metrics as exposition, openapi_yaml};
 use crate::engine::{Limits, Readiness};
 use crate::plan::{self, Setting};
+use crate::spelling::nearest;
 
 const PLAIN: [(HeaderName, HeaderValue); 2] = [
     (header::CONTENT_TYPE, HeaderValue::from_static("text/plain; charset=utf-8")),

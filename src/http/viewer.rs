@@ -14,10 +14,11 @@ use serde_json::json;
 use sha2::{Digest, Sha256};
 
 use super::names::COMPANIONS;
-use super::problem::{Kind, Problem, nearest};
+use super::problem::{Kind, Problem};
 use super::upload::MAX_FILES;
 use super::{Segments, conditional};
 use crate::assets;
+use crate::spelling::nearest;
 
 const HTML: &str = "text/html; charset=utf-8";
 const CSS: &str = "text/css; charset=utf-8";

@@ -38,6 +38,7 @@ use crate::plan::SceneFacts;
 use crate::scene::clipping::ClipBoxes;
 use crate::scene::recolor::ColorMap;
 use crate::scene::{Blend, Filter, PullPushWeights, Shading};
+use crate::spelling::suggestion;
 
 /// Samples are drawn as splats, or may be.
 const SPLATS: Rule =
@@ -295,7 +296,13 @@ fn read<T: DeserializeOwned>(name: &'static str, value: Value) -> Result<Option<
             (other, _) => other.to_string(),
         };
         let shown: String = shown.chars().take(64).collect();
-        unusable(name, format!("`{shown}` is not a value of this setting"))
+        let near = match kind {
+            Some(SettingKind::Choice { choices, .. }) => {
+                suggestion(&shown, choices.iter().map(|choice| choice.value.as_str()))
+            }
+            _ => String::new(),
+        };
+        unusable(name, format!("`{shown}` is not a value of this setting{near}"))
     })
 }
 

@@ -1,7 +1,8 @@
 //! Names of parameters, and the problems for unknown names.
 
-use crate::http::problem::{Kind, Problem, nearest};
+use crate::http::problem::{Kind, Problem};
 use crate::plan::Given;
+use crate::spelling::nearest;
 
 /// Parameters that are not settings.
 const OTHERS: [&str; 15] = [

@@ -58,6 +58,27 @@ fn unknown_names_are_suggested() {
 }
 
 #[test]
+fn unknown_values_are_suggested() {
+    for (query, meant) in [
+        ("reconstruct=pullpush", "pull_push"),
+        ("color_by=hight", "height"),
+        ("color_map=Virids", "viridis"),
+        ("lod=sptt", "spt"),
+        ("format=jpg", "jpeg"),
+        ("output=colour", "color"),
+        ("wait=redy", "ready"),
+    ] {
+        let (name, value) = query.split_once('=').unwrap();
+        let body = serde_json::json!({ name: value });
+        let refused = FrameParams::from_json(body, "").and_then(|params| params.check());
+        for detail in [fault(query).1, refused.unwrap_err().detail] {
+            assert!(detail.ends_with(&format!("; did you mean `{meant}`?")), "{query}: {detail}");
+        }
+    }
+    assert!(!fault("reconstruct=zzzz").1.contains("did you mean"));
+}
+
+#[test]
 fn names_are_those_of_the_way_of_asking() {
     let names = Names { own: &["speed"], without: &[("deadline_ms", "it is never late")] };
     assert!(names.check("speed").is_ok() && names.check("eye").is_ok());
