@@ -139,7 +139,7 @@ fn deleting_a_scene_ends_its_bakes() {
             scope.spawn(|| {
                 unknown(engine.begin_bake(&request).unwrap().unwrap().wait().unwrap_err())
             }),
-            scope.spawn(|| unknown(super::studio::etag(&engine, &request).unwrap_err())),
+            scope.spawn(|| unknown(super::studio::etag(engine, &request).unwrap_err())),
             scope.spawn(|| unknown(engine.submit(request.clone()).err().unwrap())),
         ];
         eventually("all to wait", || engine.bake_waiters() == waiting.len());
@@ -172,7 +172,7 @@ fn frames_and_tags_bake_within_the_limit() {
                 let mut request = front(name, 32, 24);
                 request.settings.lod = Lod::Spt;
                 match number % 2 {
-                    0 => drop(super::studio::etag(&engine, &request).unwrap()),
+                    0 => drop(super::studio::etag(engine, &request).unwrap()),
                     _ => drop(engine.submit(request).unwrap().wait().unwrap()),
                 }
             });
