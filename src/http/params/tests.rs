@@ -64,7 +64,6 @@ fn unknown_values_are_suggested() {
         ("color_by=hight", "height"),
         ("color_map=Virids", "viridis"),
         ("lod=sptt", "spt"),
-        ("format=jpg", "jpeg"),
         ("output=colour", "color"),
         ("wait=redy", "ready"),
     ] {
