@@ -180,7 +180,10 @@ fn assets(told: &Inspection) -> Table {
         "uncovered",
     ]);
     for (asset, uncovered) in told.scene.assets.iter().zip(&told.uncovered) {
+        // The normals of lines follow from their shape.
+        let only_lines = asset.segments > 0 && asset.samples == 0 && asset.triangles == 0;
         let normals = match (asset.has_normals, asset.normals_estimated) {
+            _ if only_lines => "—",
             (true, true) => "file, rest estimated",
             (true, false) => "file",
             (false, _) => "estimated",

@@ -146,12 +146,15 @@ pub async fn json<T: DeserializeOwned>(
     parse_json(&bytes)
 }
 
-/// Parses JSON; the error names the place in the document.
+/// Parses JSON. The error names the value that is wrong, or, where the text is no JSON, its line and column.
 fn parse_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
     check_keys(bytes)
         .map_err(|found| Problem::new(Kind::BadBody, found.to_string()).at(found.path))?;
     let mut deserializer = serde_json::Deserializer::from_slice(bytes);
     let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
+        if !error.inner().is_data() {
+            return Problem::new(Kind::BadBody, error.inner().to_string());
+        }
         let path = error.path().to_string();
         let problem = Problem::new(Kind::BadBody, error.to_string());
         if path == "." { problem } else { problem.at(path) }
@@ -245,7 +248,11 @@ mod tests {
         assert_eq!(read("application/json; charset=utf-8", "[1, 2]").unwrap(), [1, 2]);
         assert_eq!(read("application/merge-patch+json", "[1, 2]").unwrap(), [1, 2]);
         assert_eq!(read("text/plain", "[1, 2]").unwrap_err().status(), 415);
-        assert_eq!(read("application/json", "[1, 2").unwrap_err().status(), 422);
+        for broken in ["[1, 2", "[1, ", "[1, }", ""] {
+            let problem = read("application/json", broken).unwrap_err();
+            assert_eq!((problem.status(), &problem.parameter), (422, &None), "{broken}");
+            assert!(problem.detail.contains("line 1 column"), "{}", problem.detail);
+        }
         assert_eq!(read("application/json", "[1, 2] 3").unwrap_err().status(), 422);
         let wrong = read("application/json", "[1, \"x\"]").unwrap_err();
         assert_eq!((wrong.status(), wrong.parameter.as_deref()), (422, Some("[1]")));

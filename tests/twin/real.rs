@@ -12,17 +12,6 @@ use serde_json::json;
 use super::splats::{check, splats};
 use super::stage::Case;
 
-/// Scans, and models that are sampled.
-const SCANS: &[&str] = &[
-    "pointclouds/kitten.xyz",
-    "pointclouds/bunnyFloat.e57",
-    "pointclouds/lion_takanawa.copc.laz",
-    "pointclouds/autzen_trim.laz",
-    "pointclouds/milk_cartoon_all_small_clorox.pcd",
-];
-const MODELS: &[&str] =
-    &["scans/bun_zipper.ply", "scans/armadillo.obj", "cad/fandisk.obj", "cad/three_cylinders.obj"];
-
 fn data() -> Option<PathBuf> {
     let folder = std::env::var_os("POINTILLIST_DATA").map_or_else(
         || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
@@ -47,34 +36,54 @@ fn overview(case: &Case) -> View {
         .unwrap()
 }
 
-#[test]
-fn splats_of_real_data_are_the_oracles() {
+/// Draws one file as `exact` and as `perspective` splats. `sampled` says that the file is a mesh, which the scene samples.
+fn splats_are_the_oracles(file: &str, sampled: bool) {
     let Some(data) = data() else {
         println!("skipped: no folder of real data");
         return;
     };
-    for (number, file) in SCANS.iter().chain(MODELS).enumerate() {
-        let Ok(bytes) = std::fs::read(data.join(file)) else {
-            println!("skipped: no {file}");
-            continue;
-        };
-        let name = file.rsplit('/').next().unwrap();
-        let asset = match MODELS.contains(file) {
-            true => json!({ "file": name, "sample": {} }),
-            false => json!({ "file": name }),
-        };
-        let survey = name.ends_with("laz");
-        let scene = json!({
-            "assets": { "a": asset },
-            "nodes": [{ "asset": "a" }],
-            "up": if survey { "z" } else { "y" }
-        });
-        let case = Case::new(&format!("real-{number}"), &[(name, bytes)], &scene);
-        let view = overview(&case);
-        println!("{file}:");
-        let exact = splats(Filter::Exact);
-        let frames = check(&case, &view, exact, exact, 45.0);
-        assert!(frames.covered() > 1000, "{file}: {}", frames.covered());
-        check(&case, &view, splats(Filter::Perspective), exact, 38.0);
-    }
+    let Ok(bytes) = std::fs::read(data.join(file)) else {
+        println!("skipped: no {file}");
+        return;
+    };
+    let name = file.rsplit('/').next().unwrap();
+    let asset = match sampled {
+        true => json!({ "file": name, "sample": {} }),
+        false => json!({ "file": name }),
+    };
+    let survey = name.ends_with("laz");
+    let scene = json!({
+        "assets": { "a": asset },
+        "nodes": [{ "asset": "a" }],
+        "up": if survey { "z" } else { "y" }
+    });
+    let folder = format!("real-{}", name.replace('.', "-"));
+    let case = Case::new(&folder, &[(name, bytes)], &scene);
+    let view = overview(&case);
+    let exact = splats(Filter::Exact);
+    let frames = check(&case, &view, exact, exact, 45.0);
+    assert!(frames.covered() > 1000, "{file}: {}", frames.covered());
+    check(&case, &view, splats(Filter::Perspective), exact, 38.0);
+}
+
+/// A test for each file, so that files are drawn in parallel and a failure names its file.
+macro_rules! splats_of {
+    ($($name:ident: $file:literal, sampled: $sampled:literal;)+) => {
+        $(#[test]
+        fn $name() {
+            splats_are_the_oracles($file, $sampled);
+        })+
+    };
+}
+
+splats_of! {
+    splats_of_kitten: "pointclouds/kitten.xyz", sampled: false;
+    splats_of_bunny_e57: "pointclouds/bunnyFloat.e57", sampled: false;
+    splats_of_lion: "pointclouds/lion_takanawa.copc.laz", sampled: false;
+    splats_of_autzen: "pointclouds/autzen_trim.laz", sampled: false;
+    splats_of_milk_cartoon: "pointclouds/milk_cartoon_all_small_clorox.pcd", sampled: false;
+    splats_of_bunny_mesh: "scans/bun_zipper.ply", sampled: true;
+    splats_of_armadillo: "scans/armadillo.obj", sampled: true;
+    splats_of_fandisk: "cad/fandisk.obj", sampled: true;
+    splats_of_three_cylinders: "cad/three_cylinders.obj", sampled: true;
 }
