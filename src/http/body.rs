@@ -10,6 +10,7 @@ use bytes::Bytes;
 use futures::{Stream, StreamExt};
 use parking_lot::Mutex;
 use serde::de::DeserializeOwned;
+use serde_path_to_error::Segment;
 
 use super::problem::{Kind, Problem};
 use crate::engine::EngineError;
@@ -146,13 +147,14 @@ pub async fn json<T: DeserializeOwned>(
     parse_json(&bytes)
 }
 
-/// Parses JSON. The error names the value that is wrong, or, where the text is no JSON, its line and column.
+/// Parses JSON. The error names the value that is wrong, where it has a name, and its line and column.
 fn parse_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
     check_keys(bytes)
         .map_err(|found| Problem::new(Kind::BadBody, found.to_string()).at(found.path))?;
     let mut deserializer = serde_json::Deserializer::from_slice(bytes);
     let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
-        if !error.inner().is_data() {
+        // A text that ends early has no name for what is missing.
+        if error.path().iter().any(|segment| matches!(segment, Segment::Unknown)) {
             return Problem::new(Kind::BadBody, error.inner().to_string());
         }
         let path = error.path().to_string();
@@ -248,9 +250,22 @@ mod tests {
         assert_eq!(read("application/json; charset=utf-8", "[1, 2]").unwrap(), [1, 2]);
         assert_eq!(read("application/merge-patch+json", "[1, 2]").unwrap(), [1, 2]);
         assert_eq!(read("text/plain", "[1, 2]").unwrap_err().status(), 415);
-        for broken in ["[1, 2", "[1, ", "[1, }", ""] {
+        for (broken, parameter) in
+            [("[1, 2", None), ("[1, ", None), ("", None), ("[1, }", Some("[1]"))]
+        {
             let problem = read("application/json", broken).unwrap_err();
-            assert_eq!((problem.status(), &problem.parameter), (422, &None), "{broken}");
+            assert_eq!(
+                (problem.status(), problem.parameter.as_deref()),
+                (422, parameter),
+                "{broken}"
+            );
+            assert!(problem.detail.contains("line 1 column"), "{}", problem.detail);
+        }
+        for (broken, parameter) in
+            [(r#"{"fov": 2"#, None), (r#"{"a": {"b": 1"#, None), (r#"{"fov": 1e999}"#, Some("fov"))]
+        {
+            let problem = parse_json::<serde_json::Value>(broken.as_bytes()).unwrap_err();
+            assert_eq!(problem.parameter.as_deref(), parameter, "{broken}");
             assert!(problem.detail.contains("line 1 column"), "{}", problem.detail);
         }
         assert_eq!(read("application/json", "[1, 2] 3").unwrap_err().status(), 422);
