@@ -37,8 +37,10 @@ fn compositions(root: &str) -> Vec<(String, Choices, Composed)> {
             })
     };
     let sides = |alias: &str| if asks(alias) { vec![false, true] } else { vec![false] };
-    let visibilities =
+    let layers = root.contains("triangles");
+    let mut visibilities =
         if asks("VISIBILITY") { Visibility::ALL.to_vec() } else { vec![Visibility::Depth] };
+    visibilities.retain(|visibility| layers || !visibility.is_of_layers());
     let mut all = vec![Choices::default()];
     let widen = |all: Vec<Choices>, alias: &str, set: fn(&mut Choices, bool)| -> Vec<Choices> {
         let sides = sides(alias);
@@ -65,6 +67,10 @@ fn compositions(root: &str) -> Vec<(String, Choices, Composed)> {
     all = widen(all, "NORMAL_SUMS", |choices, side| choices.normal_sums = side);
     all = widen(all, "LIT", |choices, side| choices.lit = side);
     all = widen(all, "FINISH", |choices, side| choices.kept = side);
+    // Layers are those of triangles.
+    if root == "resolve/resolve_triangles" {
+        all = widen(all, "WORDS", |choices, side| choices.layers = side);
+    }
     all = widen(all, "NODES", |choices, side| choices.nodes = side);
     all = widen(all, "FIELDS", |choices, side| choices.fields = side);
     // Each of these is used in a pass of its own.
@@ -82,6 +88,9 @@ fn needed(composed: &Composed, choices: &Choices) -> Capabilities {
     let mut needed = Capabilities::empty();
     if composed.source.contains("fn visibility_write") && choices.visibility == Visibility::Wide {
         needed |= WIDE;
+    }
+    if composed.source.contains("fn sink") && choices.visibility == Visibility::LayersWide {
+        needed |= WIDE_SUMS;
     }
     if composed.source.contains("fn add_0") && choices.wide_sums {
         needed |= WIDE_SUMS;
@@ -122,24 +131,25 @@ fn every_composition_is_valid() {
     }
     // Numbers of compositions:
     // - Samples: three ways to write; with and without point trees; all at once or in turns.
-    // - Triangles: the same three ways; with and without alpha; a thread each (all at once or in turns, with and without votes),
+    // - Triangles: the same three ways, for what is opaque and for layers; with and without alpha; a thread each (all at once or in turns, with and without votes),
     //   or from a list (by threads or by the rasteriser).
     // - Lines: the same three ways; a thread each as for triangles, or from a list.
     // - Splats: depths as for samples, with and without clip lines; sums by clip lines, width, normals, lights and trees; a
     //   single pass by clip lines, lights, trees and scalar fields. Each of these with a thread per splat (all at once or in turns, with and
     //   without votes), or from a list.
-    // - Passes over pixels: with and without votes; samples with and without trees and scalar fields; outputs written at once or later.
+    // - Passes over pixels: with and without votes; samples with and without trees and scalar fields; outputs written at once or later;
+    //   triangles also layer by layer.
     // - Level 0 of pull-push: with and without clip lines, trees and scalar fields.
     // - Lists: of everything, or of trees. Others: no choices.
     let (depths, sums, single) = (12, 64, 16);
-    let over_pixels = 6 * 2 * 2 + 3 * 2 * 2 + 2 * 2;
+    let over_pixels = 6 * 2 * 2 + 3 * 2 * 2 + 2 * 2 + 2 * 2;
     let level_0 = 2 * 2 * 2;
     let lists = 3 * 2;
-    let others = 12;
+    let others = 13;
     assert_eq!(
         checked,
         2 * 6
-            + 6 * (2 * 2 + 2)
+            + 12 * (2 * 2 + 2)
             + 3 * (2 * 2 + 1)
             + 5 * (depths + sums + single)
             + over_pixels

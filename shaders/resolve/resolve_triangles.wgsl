@@ -26,7 +26,7 @@ struct Shown {
 // One triangle: positions as interpolation needs them, and the first corner's attributes with the differences of the others.
 struct Corners {
     form: Barycentric,
-    color: array<vec3<f32>, 3>,
+    color: array<vec4<f32>, 3>,
     // In world space, up to length.
     normal: array<vec3<f32>, 3>,
     uv: array<vec2<f32>, 3>,
@@ -60,8 +60,9 @@ fn shown_slot(slot: u32) -> Shown {
     return shown;
 }
 
-fn corner_color(word: u32) -> vec3<f32> {
-    return linear_color(vertices[word + 3u]);
+fn corner_color(word: u32) -> vec4<f32> {
+    let color = unpack4x8unorm(vertices[word + 3u]);
+    return vec4<f32>(linear_from_srgb(color.rgb), color.a);
 }
 
 fn corner_normal(word: u32) -> vec3<f32> {
@@ -104,15 +105,15 @@ fn shown_corners(shown: Shown, triangle: u32) -> Corners {
     return corners;
 }
 
-fn surface_color(corners: Corners, material: Material, w: Weights) -> vec3<f32> {
-    var color = material.base_color.rgb * (corners.color[0] + w.b * corners.color[1] + w.c * corners.color[2]);
+fn surface_color(corners: Corners, material: Material, w: Weights) -> vec4<f32> {
+    var color = material.base_color * (corners.color[0] + w.b * corners.color[1] + w.c * corners.color[2]);
     if TEXTURES && material.texture != 0u {
         color *= sample_texture(
             textures[material.texture - 1u],
             corners.uv[0] + w.b * corners.uv[1] + w.c * corners.uv[2],
             w.dx.x * corners.uv[1] + w.dx.y * corners.uv[2],
             w.dy.x * corners.uv[1] + w.dy.y * corners.uv[2],
-        ).rgb;
+        );
     }
     return color;
 }
@@ -130,8 +131,10 @@ fn resolve(column: Column, shown: Shown, corners: Corners) {
             let own = corners.normal[0] + w.b * corners.normal[1] + w.c * corners.normal[2];
             surface.normal = facing_normal(own, world_from_camera(towards(ray)));
         }
+        let color = surface_color(corners, shown.material, w);
+        surface.alpha = clamp(color.a, 0.0, 1.0);
         // Triangles have no scalar fields.
-        surface.color = select(surface_color(corners, shown.material, w), linear_color(GREY), COLOR_BY == BY_FIELD);
+        surface.color = select(color.rgb, linear_color(GREY), COLOR_BY == BY_FIELD);
     }
     finish(column.pixel, column.at, surface);
 }
@@ -177,6 +180,7 @@ fn resolve_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_inv
         }
     }
     if resolved != 0u {
+        note_layer();
         atomicAdd(&stats[frame.view].pixels_of_triangles, resolved);
     }
 }

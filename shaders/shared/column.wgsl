@@ -5,6 +5,7 @@
 //
 // Loops end by the row, which is the same for all threads of a workgroup, so that votes are taken by all of them. What is
 // drawn depends on no vote: a thread only ever draws its own pixels, and a vote that says yes too often costs time alone.
+//!include WORDS
 const TILE: vec2<u32> = vec2<u32>(64u, 16u);
 
 struct Column {
@@ -28,7 +29,7 @@ fn column_begin(group: vec3<u32>, lane: u32) -> Column {
     var column: Column;
     column.at = vec2<u32>(corner.x + lane, max(corner.y, begin.y));
     column.pixel = frame.first_pixel + column.at.y * frame.size_px.x + column.at.x;
-    column.bottom = select(min(corner.y + TILE.y, end.y), 0u, corner.x >= end.x || corner.x + TILE.x <= begin.x);
+    column.bottom = select(min(corner.y + TILE.y, end.y), 0u, corner.x >= end.x || corner.x + TILE.x <= begin.x || !words_are_left());
     column.inside = column.at.x >= begin.x && column.at.x < end.x;
     return column;
 }
@@ -41,15 +42,15 @@ fn column_is_pixel(column: Column) -> bool {
     return column.inside && column.at.y < column.bottom;
 }
 
-// Loads what the visibility buffer has at the column's pixel; below the tile and beside the image that is nothing.
+// Loads the word of the column's pixel; below the tile and beside the image that is nothing.
 fn column_load(column: ptr<function, Column>) {
     (*column).word = vec2<u32>(0u);
     if column_is_pixel(*column) {
-        (*column).word.y = visibility[(*column).pixel].y;
+        (*column).word.y = high_word((*column).pixel);
     }
     (*column).mine = (*column).word.y != 0u;
     if (*column).mine {
-        (*column).word.x = visibility[(*column).pixel].x;
+        (*column).word.x = low_word((*column).pixel);
     }
 }
 

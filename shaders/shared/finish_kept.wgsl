@@ -1,5 +1,7 @@
 // Surfaces are kept for the pass that writes the output: colours in `colors`, normals in `normals`, depths and slots in `visibility`.
 //!include shared/kept_color
+@group(0) @binding(1) var<storage, read_write> visibility: array<vec2<u32>>;
+@group(0) @binding(2) var<storage, read_write> pixels: array<u32>;
 @group(0) @binding(3) var<storage, read_write> normals: array<u32>;
 @group(0) @binding(9) var<storage, read_write> colors: array<vec2<u32>>;
 

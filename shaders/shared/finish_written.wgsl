@@ -1,6 +1,8 @@
 // Surfaces are coloured by a value where that is asked for, lit, and written at once.
 //!include shared/light
 //!include shared/recolor
+@group(0) @binding(1) var<storage, read_write> visibility: array<vec2<u32>>;
+@group(0) @binding(2) var<storage, read_write> pixels: array<u32>;
 
 fn finish(pixel: u32, at: vec2<u32>, surface: Surface) {
     var shown = surface;

@@ -12,8 +12,6 @@ override OVERRIDES: bool = true;
 // At least one material has a texture.
 override TEXTURES: bool = true;
 
-@group(0) @binding(1) var<storage, read_write> visibility: array<vec2<u32>>;
-@group(0) @binding(2) var<storage, read_write> pixels: array<u32>;
 @group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
 @group(1) @binding(3) var<storage, read> instances: array<Instance>;

@@ -191,7 +191,9 @@ struct Stats {
     drawn_end: array<atomic<u32>, 2>,
     // Pixels that show no sample of their own, and that pull-push has filled.
     pixels_filled: atomic<u32>,
-    unused: u32,
+    // Layers of translucent surfaces that some pixel shows, and pixels with as many as are kept: what lies behind those is left out.
+    layers: atomic<u32>,
+    pixels_of_all_layers: atomic<u32>,
     // Segments of lines: in slots that were tested, left to walk_lines, and pixels that show one.
     segments_tested_lo: atomic<u32>,
     segments_tested_hi: atomic<u32>,
@@ -200,7 +202,7 @@ struct Stats {
 }
 
 // Words of a view's record, and places in it for those who only read.
-const STATS_WORDS: u32 = 28u;
+const STATS_WORDS: u32 = 29u;
 const STAT_LARGE_LONGEST: u32 = 8u;
 const STAT_LARGE_UNITS: u32 = 9u;
 const STAT_LARGE_WRAPPED: u32 = 10u;

@@ -4,6 +4,8 @@
 struct Surface {
     // Linear, without lighting.
     color: vec3<f32>,
+    // Translucent surfaces: how much of what is behind they hide.
+    alpha: f32,
     // World space, unit length, turned towards the eye; zero if the surface has none and is not lit.
     normal: vec3<f32>,
     // The surface reflects like a ball: it has all normals alike.

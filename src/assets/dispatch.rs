@@ -7,7 +7,7 @@ use super::input::Input;
 use super::warnings::condensed;
 use super::{
     Asset, AssetError, ReadOptions, e57, gltf, hair, las, obj, off, pcd, ply, ptx, stl, swc, tck,
-    trk, trx, vtk, xyz,
+    translucent, trk, trx, vtk, xyz,
 };
 
 /// Extensions of the formats that are read, in lower case; each may be followed by `.gz`.
@@ -61,7 +61,8 @@ enum Format {
 pub fn read(path: &Path, options: &ReadOptions) -> Result<Asset, AssetError> {
     let name = display_name(path);
     let input = Input::open(path, &name, options)?;
-    let mut asset = match recognise(&input.origin.head, &name) {
+    let format = recognise(&input.origin.head, &name);
+    let mut asset = match format {
         Format::Ply => ply::read_from(input, options),
         Format::Obj => obj::read_from(input, options),
         Format::Stl => stl::read_from(input, options),
@@ -102,6 +103,9 @@ pub fn read(path: &Path, options: &ReadOptions) -> Result<Asset, AssetError> {
             ),
         )),
     }?;
+    if matches!(format, Format::Ply | Format::Off | Format::Vtk | Format::Vtp) {
+        translucent::from_vertex_colors(&mut asset, &name, options)?;
+    }
     asset.warnings = condensed(asset.warnings.drain(..).map(|text| ("", text)));
     options.progress.report(1.0);
     Ok(asset)

@@ -32,6 +32,7 @@ pub mod tck;
 mod texture;
 pub(crate) mod tidy;
 mod tokens;
+mod translucent;
 pub mod trk;
 pub mod trx;
 pub mod vtk;
@@ -267,7 +268,12 @@ pub struct Material {
     pub unlit: bool,
     /// Fragments with less alpha are not there; `None` draws everything.
     pub alpha_cutoff: Option<f32>,
+    /// What lies behind shows through, by 1 − alpha.
+    pub translucent: bool,
 }
+
+/// Least alpha of translucent fragments that are drawn; less changes no byte of an image.
+pub const LEAST_ALPHA: f32 = 1.0 / 512.0;
 
 impl Default for Material {
     fn default() -> Self {
@@ -280,6 +286,7 @@ impl Default for Material {
             double_sided: true,
             unlit: false,
             alpha_cutoff: None,
+            translucent: false,
         }
     }
 }

@@ -12,6 +12,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::kernels::{CUTOFF, circle};
+use super::pack::ALWAYS;
 use super::rasterise::{RasteriseOptions, rasterise_replacing};
 use super::sample::SampleError;
 use super::sample::color::Colors;
@@ -110,7 +111,8 @@ fn longest_side([a, b, c]: [DVec3; 3]) -> f64 {
     (b - a).length().max((c - b).length()).max((a - c).length())
 }
 
-/// Samples a mesh. Its parts refer to `materials`, and the materials to `textures`.
+/// Samples a mesh. Its parts refer to `materials`, and the materials to `textures`. Translucent triangles have no samples and are
+/// drawn at any error: samples hide what is behind them.
 ///
 /// # Errors
 /// Fails if there would be more samples than `max_samples`.
@@ -120,21 +122,31 @@ pub fn hybrid_mesh(
     textures: &[Texture],
     max_samples: u64,
 ) -> Result<HybridMesh, SampleError> {
-    let sides: Vec<f64> = mesh
-        .triangles
-        .iter()
-        .map(|&triangle| corners(mesh, triangle).map_or(0.0, longest_side))
-        .collect();
+    let mut translucent = vec![false; mesh.triangles.len()];
+    let mut rest = &mut translucent[..];
+    for part in &mesh.parts {
+        let (own, behind) = rest.split_at_mut((part.triangles as usize).min(rest.len()));
+        let material = part.material.and_then(|number| materials.get(number as usize));
+        own.fill(material.is_some_and(|material| material.translucent));
+        rest = behind;
+    }
+    let side = |(&triangle, &translucent): (&[u32; 3], &bool)| {
+        let corners = corners(mesh, triangle).filter(|_| !translucent);
+        corners.map_or(0.0, longest_side)
+    };
+    let sides: Vec<f64> = mesh.triangles.iter().zip(&translucent).map(side).collect();
     let mut known: Vec<f64> = sides.iter().copied().filter(|side| *side > 0.0).collect();
+    let always = |translucent: &bool| if *translucent { ALWAYS } else { 0.0 };
     if known.is_empty() {
-        let sides = vec![0.0; mesh.triangles.len()];
+        let sides = translucent.iter().map(always).collect();
         return Ok(HybridMesh { samples: PointCloud::default(), stands: Vec::new(), sides });
     }
     let middle = known.len() / 2;
     let (_, &mut usual, _) = known.select_nth_unstable_by(middle, f64::total_cmp);
     let spacing = usual / PER_SIDE;
     let is_large = |side: f64| side > LARGE * spacing;
-    let (small, numbers) = part_of(mesh, |triangle| !is_large(sides[triangle]));
+    let (small, numbers) =
+        part_of(mesh, |triangle| !is_large(sides[triangle]) && !translucent[triangle]);
     let options = RasteriseOptions { spacing: Some(spacing), max_samples };
     let small_sides: Vec<f64> = numbers.iter().map(|&number| sides[number as usize]).collect();
     let (rasterised, shortest) =
@@ -170,7 +182,10 @@ pub fn hybrid_mesh(
     if count > limit {
         return Err(SampleError::TooMany { count, limit });
     }
-    let sides = sides.iter().map(|&side| stand(side, 0.0).error * ROUNDED).collect();
+    let drawn = |(&side, translucent): (&f64, &bool)| {
+        if *translucent { ALWAYS } else { stand(side, 0.0).error * ROUNDED }
+    };
+    let sides = sides.iter().zip(&translucent).map(drawn).collect();
     Ok(HybridMesh { samples: PointCloud { oriented: true, ..samples }, stands, sides })
 }
 

@@ -23,7 +23,7 @@ pub struct GenerateArgs {
     /// their assets beside them: .json; many scenes: a folder
     #[arg(short, long, alias = "output", value_name = "FILE")]
     pub out: PathBuf,
-    /// Seed of the random parts of towns, reliefs, trees, groves, neurons and tracts
+    /// Seed of the random parts of towns, reliefs, trees, groves, glasshouses, neurons and tracts
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     /// Number of points, for point clouds; for a machined part, samples to aim at

@@ -220,6 +220,7 @@ fn digest_chunks(hasher: &mut Sha256, chunks: &[PackedChunk]) {
             material,
             kernel_base,
             sides,
+            translucent,
             range,
         } = chunk;
         let NodeRange { base, error_parent, size_parent, error_least, size_least, delta_most } =
@@ -231,7 +232,7 @@ fn digest_chunks(hasher: &mut Sha256, chunks: &[PackedChunk]) {
         let lengths =
             [kernel_base, base, error_parent, size_parent, error_least, size_least, delta_most];
         words(hasher, &lengths.map(|length| length.to_bits()));
-        hasher.update([*sides as u8]);
+        hasher.update([*sides as u8, u8::from(*translucent)]);
     }
 }
 
@@ -245,6 +246,7 @@ fn digest_material(hasher: &mut Sha256, material: &Material) {
         double_sided,
         unlit,
         alpha_cutoff,
+        translucent,
     } = material;
     hasher.update((name.len() as u64).to_le_bytes());
     hasher.update(name);
@@ -252,7 +254,8 @@ fn digest_material(hasher: &mut Sha256, material: &Material) {
     words(hasher, &specular.map(f32::to_bits));
     words(hasher, base_texture.as_slice());
     words(hasher, alpha_cutoff.map(f32::to_bits).as_slice());
-    words(hasher, &[shininess.to_bits(), u32::from(*double_sided), u32::from(*unlit)]);
+    let flags = [*double_sided, *unlit, *translucent].map(u32::from);
+    words(hasher, &[&[shininess.to_bits()], &flags[..]].concat());
 }
 
 #[cfg(test)]

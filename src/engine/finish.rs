@@ -8,12 +8,12 @@ use super::framing;
 use super::landing::Drawn;
 use super::receipt::{
     InstanceCounts, Legend, PassReceipt, Receipt, SampleCounts, SegmentCounts, SplatCounts,
-    TriangleCounts,
+    TranslucentOrder, TranslucentReceipt, TriangleCounts,
 };
 use super::state::EngineState;
 use super::trace::FrameSpans;
 use super::{EncodedFrame, EngineError};
-use crate::passes::srgb8;
+use crate::passes::{LAYERS, srgb8};
 use crate::plan::{Pass, Reconstruct, UsedSettings, UsedSplats};
 use crate::residency::layout::GpuStats;
 
@@ -138,6 +138,12 @@ fn receipt(state: &EngineState, drawn: &Drawn) -> Receipt {
             stored: counts.instances,
             drawn: Some(u64::from(drawn.stats.instances_drawn)),
         },
+        translucent: runs(Pass::CompositeLayers).then_some(TranslucentReceipt {
+            order: TranslucentOrder::PixelDepth,
+            layers: LAYERS,
+            deepest: drawn.stats.layers,
+            pixels_of_all_layers: u64::from(drawn.stats.pixels_of_all_layers),
+        }),
         holes_filled: runs(Pass::ResolvePulled).then_some(u64::from(drawn.stats.pixels_filled)),
         gpu_bytes: drawn.gpu_bytes,
         ..Receipt::default()

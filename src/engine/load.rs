@@ -277,7 +277,9 @@ fn pack_asset(
         granted.map_err(|interrupt| Stop::Failed(interrupt.into()))?;
         let taken = std::mem::replace(geometry, Geometry::Points(PointCloud::default()));
         let packed = match (taken, completeness) {
-            (Geometry::Mesh(mesh), _) => pack_mesh(&mesh).map(PackedGeometry::Triangles),
+            (Geometry::Mesh(mesh), _) => {
+                pack_mesh(&mesh, &asset.materials).map(PackedGeometry::Triangles)
+            }
             (Geometry::Lines(lines), _) => pack_lines(&lines).map(PackedGeometry::Lines),
             (Geometry::Points(cloud), Completeness::Whole(watch)) if lacking.contains(&number) => {
                 let part = cloud.positions.len() as f64 / total;

@@ -205,6 +205,7 @@ fn facts(model: &SceneModel, bounds: &Bounds) -> SceneFacts {
         sparse_lines: counts.segments > 0
             && model.line_area() < SPARSE_LINES * size.max_element().powi(2),
         trees: false,
+        translucent: model.assets.iter().any(|asset| asset.has_translucent()),
     }
 }
 

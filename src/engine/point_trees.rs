@@ -160,22 +160,23 @@ fn hybrid(
     let mesh = unpack_mesh(packed);
     match hybrid_mesh(&mesh, &asset.packed.materials, textures, MAX_SAMPLES) {
         Ok(hybrid) => {
-            // Through what alpha cuts out of a surface its far side is seen from behind.
+            // Through a translucent surface, or what alpha cuts out of one, its far side is seen from behind.
             let cut = |part: &MeshPart| {
                 let material = part.material.and_then(|m| asset.packed.materials.get(m as usize));
-                material.is_some_and(|material| material.alpha_cutoff.is_some())
+                material
+                    .is_some_and(|material| material.alpha_cutoff.is_some() || material.translucent)
             };
             let closed = !mesh.parts.iter().any(cut) && is_watertight(&mesh);
             let stands = Some(&hybrid.stands[..]);
             let tree = build_tree_within(&hybrid.samples, stands, bounds, closed)?;
-            let triangles = pack_hybrid(&mesh, tree.grid, &hybrid.sides)?;
+            let triangles = pack_hybrid(&mesh, &asset.packed.materials, tree.grid, &hybrid.sides)?;
             Ok((tree, triangles))
         }
         Err(error) => {
             tracing::warn!(asset = asset.name, %error, "a mesh keeps all its triangles");
             let sides = vec![ALWAYS; mesh.triangles.len()];
             let tree = PackedSamples { grid: packed.grid, ..PackedSamples::default() };
-            Ok((tree, pack_hybrid(&mesh, packed.grid, &sides)?))
+            Ok((tree, pack_hybrid(&mesh, &asset.packed.materials, packed.grid, &sides)?))
         }
     }
 }

@@ -3,7 +3,7 @@
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use crate::plan::{FramePlan, Pass, UsedSettings};
+use crate::plan::{FramePlan, Pass, PlannedPass, UsedSettings};
 use crate::scene::fields::{SceneField, class_color, class_name};
 use crate::scene::recolor::{ColorMap, Recolor};
 
@@ -61,6 +61,8 @@ pub struct Receipt {
     pub gpu_bytes: u64,
     /// Nearest and farthest distance in a 16-bit depth image, in scene units: what its values 65535 and 1 stand for.
     pub depth_range: Option<[f32; 2]>,
+    /// How translucent surfaces were drawn; `null` where none were.
+    pub translucent: Option<TranslucentReceipt>,
     /// Pixels that pull-push has filled; `null` where samples are drawn otherwise.
     pub holes_filled: Option<u64>,
     /// Size of the encoded image.
@@ -135,7 +137,16 @@ impl PassReceipt {
             let why = Some(planned.skipped?.to_owned());
             Some(PassReceipt { name: planned.pass.name(), ran: false, gpu_ns: None, why })
         });
-        ran.chain(skipped).collect()
+        let is_idle = |planned: &&PlannedPass| {
+            planned.skipped.is_none() && !recorded.iter().any(|(pass, _)| *pass == planned.pass)
+        };
+        let idle = plan.passes.iter().filter(is_idle).map(|planned| PassReceipt {
+            name: planned.pass.name(),
+            ran: false,
+            gpu_ns: None,
+            why: Some("the scene has nothing that it draws".to_owned()),
+        });
+        ran.chain(skipped).chain(idle).collect()
     }
 }
 
@@ -191,6 +202,26 @@ impl Legend {
             }
         }
     }
+}
+
+/// The order of translucent surfaces, and what is missing of them.
+#[derive(Clone, Copy, Debug, Serialize, ToSchema)]
+pub struct TranslucentReceipt {
+    pub order: TranslucentOrder,
+    /// Nearest surfaces of a pixel that are kept; those behind them are left out.
+    pub layers: u32,
+    /// Most surfaces of a pixel, of those that are kept.
+    pub deepest: u32,
+    /// Pixels with as many surfaces as are kept, of which some may be missing. With antialiasing, parts of pixels.
+    pub pixels_of_all_layers: u64,
+}
+
+/// How the order of translucent surfaces was found.
+#[derive(Clone, Copy, Debug, Serialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum TranslucentOrder {
+    /// Each pixel's surfaces were sorted by depth: the order is right where surfaces cross as well.
+    PixelDepth,
 }
 
 #[derive(Clone, Copy, Debug, Default, Serialize, ToSchema)]

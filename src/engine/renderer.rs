@@ -298,6 +298,7 @@ impl Renderer {
             parts,
             least_line_px: drawing.settings.least_line_px() * scale,
             background: drawing.background(&first.frame.model),
+            window_pixels: passes::window_pixels(self.gpu.max_binding_bytes()),
             entry_capacity: self.scratch.entry_capacity(),
         }
     }

@@ -339,6 +339,7 @@ fn decide(
     let way = |settings: &Settings, instead_because| {
         let adapter = AdapterFacts {
             atomics_64: adapter.atomics_64,
+            atomic_sums_64: adapter.atomic_sums_64,
             rasterises: adapter.rasterises,
             draws_hidden: state.config.draw_hidden,
         };
@@ -368,6 +369,12 @@ fn decide(
     });
     let pulled = reconstruction.pull_push().filter(|_| facts.counts.samples > 0);
     let refused = refused.or_else(|| pulled.and_then(|_| no_pyramid(&request, &adapter)));
+    // Neither leaves depths of what it draws.
+    let composites = facts.translucent && request.output == Output::Color;
+    let undecided = (fuzzy.is_some() || pulled.is_some()) && composites;
+    let refused = refused.or_else(|| {
+        undecided.then_some("it gives translucent surfaces no depths to be compared with")
+    });
     let drawing = match refused {
         Some(_) => way(&other, refused),
         None => way(&settings, None),

@@ -5,6 +5,7 @@
 //! trigonometry from [`numeric`], and parallel work is split and merged by index.
 
 mod error;
+pub mod glasshouse;
 mod hard;
 mod isosurface;
 pub mod lines;
@@ -49,6 +50,8 @@ pub enum Kind {
     Tree,
     /// Scene of ten trees of many leaves, as triangles or as lines
     Grove,
+    /// Scene of a greenhouse: translucent panes, plants behind them, and balls of glass
+    Glasshouse,
     /// Neurons with tapering branches: lines with radii, colours and types
     Neurons,
     /// Streamlines in bundles, as of a brain's white matter: lines
@@ -73,7 +76,7 @@ impl Kind {
         match self {
             Kind::Town | Kind::Statue | Kind::Checkerboard | Kind::CsgPart => &["points", "size"],
             Kind::Relief | Kind::Textured | Kind::Sphere => &["triangles", "size"],
-            Kind::Plaza | Kind::Cube => &["size"],
+            Kind::Plaza | Kind::Cube | Kind::Glasshouse => &["size"],
             Kind::Hard => &[],
             Kind::Tree | Kind::Grove => &["triangles", "size", "count", "form"],
             Kind::Neurons | Kind::Tracts => &["count", "size"],
@@ -207,6 +210,11 @@ pub fn generate(
         }
         Kind::Tree => tree(parameters, progress)?,
         Kind::Grove => Generated::Scene(grove("grove", parameters, progress)?),
+        Kind::Glasshouse => Generated::Scene(glasshouse::glasshouse(
+            "glasshouse",
+            length(glasshouse::LENGTH)?,
+            seed,
+        )),
         Kind::Neurons => {
             let count = within("count", count, 20, 1, 1_000_000)? as usize;
             Generated::Lines(lines::neurons(count, length(1000.0)?, seed, progress))
@@ -247,6 +255,10 @@ pub fn generate_scene(
     if kind == Kind::Plaza {
         let count = plaza_count(parameters.size)?;
         return Ok(scenes::plaza(name, count, parameters.seed, progress));
+    }
+    if kind == Kind::Glasshouse {
+        let length = within("size", parameters.size, glasshouse::LENGTH, 1e-3, 1e6)?;
+        return Ok(glasshouse::glasshouse(name, length, parameters.seed));
     }
     if kind == Kind::CsgPart {
         return machined_part(name, parameters);

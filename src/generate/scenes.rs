@@ -36,7 +36,7 @@ pub(super) fn vector(v: DVec3) -> String {
 }
 
 /// The box that a frame without a pose shows.
-fn subject(bounds: &Bounds) -> String {
+pub(super) fn subject(bounds: &Bounds) -> String {
     format!("  \"subject\": [{}, {}]", vector(bounds.min), vector(bounds.max))
 }
 

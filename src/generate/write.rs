@@ -81,11 +81,22 @@ fn create(path: &Path) -> Result<BufWriter<File>, GenerateError> {
     Ok(BufWriter::with_capacity(1 << 18, File::create(path).map_err(GenerateError::io(path))?))
 }
 
+/// Number of channels of a file's colours: none, three, or four where some alpha is not 255.
+#[derive(Clone, Copy)]
+struct Channels(usize);
+
+impl Channels {
+    fn of(colors: Option<&Vec<[u8; 4]>>) -> Channels {
+        let has_alpha = |colors: &Vec<[u8; 4]>| colors.iter().any(|color| color[3] != 255);
+        Channels(colors.map_or(0, |colors| if has_alpha(colors) { 4 } else { 3 }))
+    }
+}
+
 /// Writes the header of a PLY file. The properties of a vertex are in the order of `ply_vertex`.
 fn ply_header(
     out: &mut impl Write,
     (count, coordinates): (usize, &str),
-    (normals, colors): (bool, bool),
+    (normals, colors): (bool, Channels),
     fields: &[Field],
     radii: bool,
     triangles: Option<usize>,
@@ -98,8 +109,8 @@ fn ply_header(
     if normals {
         writeln!(out, "property float nx\nproperty float ny\nproperty float nz")?;
     }
-    if colors {
-        writeln!(out, "property uchar red\nproperty uchar green\nproperty uchar blue")?;
+    for channel in ["red", "green", "blue", "alpha"].iter().take(colors.0) {
+        writeln!(out, "property uchar {channel}")?;
     }
     for field in fields {
         writeln!(out, "property {} {}", ply_type(field), field.name)?;
@@ -127,11 +138,12 @@ fn ply_type(field: &Field) -> &'static str {
 
 fn ply_points(cloud: &PointCloud, path: &Path) -> Result<(), GenerateError> {
     let mut out = create(path)?;
+    let channels = Channels::of(cloud.colors.as_ref());
     let mut body = || -> std::io::Result<()> {
         ply_header(
             &mut out,
             (cloud.positions.len(), "double"),
-            (cloud.normals.is_some(), cloud.colors.is_some()),
+            (cloud.normals.is_some(), channels),
             cloud.fields.list(),
             cloud.radii.is_some(),
             None,
@@ -144,7 +156,7 @@ fn ply_points(cloud: &PointCloud, path: &Path) -> Result<(), GenerateError> {
                 out.write_all(bytemuck::cast_slice(&n.to_array().map(f32::to_le_bytes)))?;
             }
             if let Some(color) = cloud.colors.as_ref().and_then(|list| list.get(i)) {
-                out.write_all(&color[..3])?;
+                out.write_all(&color[..channels.0])?;
             }
             for field in cloud.fields.list() {
                 let value = field.value(cloud.fields.at(i)).unwrap_or(f64::NAN);
@@ -165,11 +177,12 @@ fn ply_points(cloud: &PointCloud, path: &Path) -> Result<(), GenerateError> {
 
 fn ply_mesh(mesh: &Mesh, path: &Path) -> Result<(), GenerateError> {
     let mut out = create(path)?;
+    let channels = Channels::of(mesh.colors.as_ref());
     let mut body = || -> std::io::Result<()> {
         ply_header(
             &mut out,
             (mesh.positions.len(), "float"),
-            (mesh.normals.is_some(), mesh.colors.is_some()),
+            (mesh.normals.is_some(), channels),
             &[],
             false,
             Some(mesh.triangles.len()),
@@ -182,7 +195,7 @@ fn ply_mesh(mesh: &Mesh, path: &Path) -> Result<(), GenerateError> {
                 out.write_all(bytemuck::cast_slice(&n.to_array().map(f32::to_le_bytes)))?;
             }
             if let Some(color) = mesh.colors.as_ref().and_then(|list| list.get(i)) {
-                out.write_all(&color[..3])?;
+                out.write_all(&color[..channels.0])?;
             }
         }
         for triangle in &mesh.triangles {

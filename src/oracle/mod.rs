@@ -14,6 +14,8 @@
 //! 3. `surface`: colour (`texture` included), normal and material where the ray meets the winner.
 //! 4. `shade`: Phong, or the colour as it is.
 //! 5. `edl`: eye-dome lighting, where it is asked for.
+//! 6. `composite`: translucent triangles over all that, in the order of their depths. Depths, normals and ids are those of the nearest
+//!    surface, translucent or not.
 //!
 //! Work is split by rows of the image; the order of primitives does not matter to the result, so that it
 //! is the same on any number of threads.
@@ -130,36 +132,15 @@ impl OracleFrame {
 /// are those of the pixel's centre whatever n is.
 pub fn render(scene: &OracleScene<'_>, view: &View, supersample: u32) -> OracleFrame {
     let prepared = Prepared::new(scene, view);
-    let shown = shown(&prepared, view, 1);
-    let mut color = match supersample {
-        0 | 1 => colors(&prepared, view, &shown),
-        n => {
-            let fine_view = view.finer(n);
-            let fine = colors(&prepared, &fine_view, &self::shown(&prepared, view, n));
-            box_filter(&fine, view, n as usize)
-        }
-    };
+    let shown = self::shown(&prepared, view, 1, false);
+    let opaque = prepared.has_translucent().then(|| self::shown(&prepared, view, 1, true));
+    let color = colors(&prepared, view, supersample.max(1), opaque.as_deref().unwrap_or(&shown));
     let width = view.width as usize;
     let normal = shown.par_iter().enumerate().map(|(i, shown)| match shown {
         Shown::Nothing => DVec3::ZERO,
         Shown::Hit(hit) => surface::at(&prepared, view, hit, i % width, i / width).normal_world,
         Shown::Splats(blended) => blended.normal_world,
     });
-    let depth = |shown: &Shown| match shown {
-        Shown::Nothing => f64::INFINITY,
-        Shown::Hit(hit) => hit.depth,
-        Shown::Splats(blended) => blended.depth,
-    };
-    let depth: Vec<f64> = shown.iter().map(depth).collect();
-    if let Some(edl) = &scene.edl {
-        let size = (width, view.height as usize);
-        let height = f64::from(view.height) / view.focal_px.y;
-        let height = view.is_orthographic().then_some(height);
-        color.par_iter_mut().enumerate().for_each(|(i, color)| {
-            let factor = edl::factor(edl, height, &depth, size, (i % width, i / width));
-            color[..3].iter_mut().for_each(|channel| *channel *= factor);
-        });
-    }
     let id = |shown: &Shown| match shown {
         Shown::Nothing => 0,
         Shown::Hit(hit) => prepared.instance(hit) + 1,
@@ -169,7 +150,7 @@ pub fn render(scene: &OracleScene<'_>, view: &View, supersample: u32) -> OracleF
         width: view.width,
         height: view.height,
         normal: normal.collect(),
-        depth,
+        depth: shown.iter().map(Shown::depth).collect(),
         id: shown.iter().map(id).collect(),
         color,
     }
@@ -184,9 +165,19 @@ enum Shown {
     Splats(Blended),
 }
 
-/// Hits of the pixels of a frame, or of its `fineness` × `fineness` sub-pixels.
-fn shown(prepared: &Prepared<'_>, view: &View, fineness: u32) -> Vec<Shown> {
-    let hits = visibility::resolve(prepared, view, fineness);
+impl Shown {
+    fn depth(&self) -> f64 {
+        match self {
+            Shown::Nothing => f64::INFINITY,
+            Shown::Hit(hit) => hit.depth,
+            Shown::Splats(blended) => blended.depth,
+        }
+    }
+}
+
+/// Hits of the pixels of a frame, or of its `fineness` × `fineness` sub-pixels. `opaque`: without translucent triangles.
+fn shown(prepared: &Prepared<'_>, view: &View, fineness: u32, opaque: bool) -> Vec<Shown> {
+    let hits = visibility::resolve(prepared, view, fineness, opaque);
     let or_hit = |hit: Option<Hit>| hit.map_or(Shown::Nothing, Shown::Hit);
     let fine_view = view.finer(fineness);
     if let Some(settings) = &prepared.scene.pull_push {
@@ -207,22 +198,88 @@ fn shown(prepared: &Prepared<'_>, view: &View, fineness: u32) -> Vec<Shown> {
     blended.into_iter().zip(hits).map(shown).collect()
 }
 
-fn colors(prepared: &Prepared<'_>, view: &View, shown: &[Shown]) -> Vec<[f64; 4]> {
-    let width = view.width as usize;
+/// The colour of every pixel, as the mean of `fineness` × `fineness` sub-pixels. `centres`: what is opaque at the pixels' centres.
+fn colors(prepared: &Prepared<'_>, view: &View, fineness: u32, centres: &[Shown]) -> Vec<[f64; 4]> {
+    let fine = (fineness > 1).then(|| self::shown(prepared, view, fineness, true));
+    let shown = fine.as_deref().unwrap_or(centres);
+    let fine_view = view.finer(fineness);
+    let factors = edl_factors(prepared, view, centres);
+    let (width, fine_width) = (view.width as usize, fine_view.width as usize);
+    let n = fineness as usize;
     let background = prepared.scene.background.map(f64::from);
     let color = |(i, shown): (usize, &Shown)| {
-        let [r, g, b] = match shown {
-            Shown::Nothing => return background,
-            Shown::Hit(hit) => {
-                let mut surface = surface::at(prepared, view, hit, i % width, i / width);
-                surface.recolor(prepared.scene.recolor.as_ref(), view, prepared.instance(hit));
-                shade::shade(&surface, prepared.scene.lights, view.eye)
-            }
-            Shown::Splats(blended) => blended.color,
+        let (x, y) = (i % fine_width, i / fine_width);
+        let [r, g, b, alpha] = match shown {
+            Shown::Nothing => background,
+            Shown::Hit(hit) => opaque(shaded(prepared, &fine_view, hit, x, y).0),
+            Shown::Splats(blended) => opaque(blended.color),
         };
-        [r, g, b, 1.0]
+        let factor = factors.get(y / n * width + x / n).copied().unwrap_or(1.0);
+        [r * factor, g * factor, b * factor, alpha]
     };
-    shown.par_iter().enumerate().map(color).collect()
+    let mut fine: Vec<[f64; 4]> = shown.par_iter().enumerate().map(color).collect();
+    if prepared.has_translucent() {
+        let layers = visibility::layers(prepared, &fine_view);
+        let pixels = fine.par_iter_mut().zip(shown).zip(&layers).enumerate();
+        pixels.for_each(|(i, ((color, shown), layers))| {
+            let (x, y) = (i % fine_width, i / fine_width);
+            composite(prepared, &fine_view, color, shown, layers, (x, y));
+        });
+    }
+    if n > 1 { box_filter(&fine, view, n) } else { fine }
+}
+
+fn opaque([r, g, b]: [f64; 3]) -> [f64; 4] {
+    [r, g, b, 1.0]
+}
+
+/// The colour of a hit under all lights, and its alpha.
+fn shaded(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: usize) -> ([f64; 3], f64) {
+    let mut surface = surface::at(prepared, view, hit, x, y);
+    surface.recolor(prepared.scene.recolor.as_ref(), view, prepared.instance(hit));
+    (shade::shade(&surface, prepared.scene.lights, view.eye), surface.alpha)
+}
+
+/// Factors of eye-dome lighting, from the depths of what is opaque at the pixels' centres; none where it is off.
+fn edl_factors(prepared: &Prepared<'_>, view: &View, centres: &[Shown]) -> Vec<f64> {
+    let Some(edl) = &prepared.scene.edl else { return Vec::new() };
+    let depth: Vec<f64> = centres.iter().map(Shown::depth).collect();
+    let size = (view.width as usize, view.height as usize);
+    let height = f64::from(view.height) / view.focal_px.y;
+    let height = view.is_orthographic().then_some(height);
+    let factor = |i| edl::factor(edl, height, &depth, size, (i % size.0, i / size.0));
+    (0..depth.len()).into_par_iter().map(factor).collect()
+}
+
+/// Lays the translucent hits of a pixel before what is shown over its colour, from back to front (Porter & Duff 1984, *over*). The colour
+/// below them is that of an image: clamped to 0..=1.
+fn composite(
+    prepared: &Prepared<'_>,
+    view: &View,
+    color: &mut [f64; 4],
+    shown: &Shown,
+    layers: &[Hit],
+    (x, y): (usize, usize),
+) {
+    let is_before = |layer: &&Hit| match shown {
+        Shown::Nothing => true,
+        Shown::Hit(hit) => visibility::order(prepared, layer, hit).is_lt(),
+        Shown::Splats(blended) => layer.depth < blended.depth,
+    };
+    let layers: Vec<&Hit> = layers.iter().filter(is_before).collect();
+    if !layers.is_empty() {
+        color.iter_mut().for_each(|channel| *channel = channel.clamp(0.0, 1.0));
+    }
+    for layer in layers.into_iter().rev() {
+        let (over, alpha) = shaded(prepared, view, layer, x, y);
+        let alpha = alpha.clamp(0.0, 1.0);
+        let below = color[3] * (1.0 - alpha);
+        let sum = alpha + below;
+        if sum > 0.0 {
+            let mean = |i: usize| (over[i] * alpha + color[i] * below) / sum;
+            *color = [mean(0), mean(1), mean(2), sum];
+        }
+    }
 }
 
 /// The mean of every n × n block; colours count as much as they cover (alpha).

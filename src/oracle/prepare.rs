@@ -61,6 +61,18 @@ impl<'a> Prepared<'a> {
         self.scene.clip.is_none_or(|clip| clip.shows(world()))
     }
 
+    /// Whether a hit is that of a translucent triangle.
+    pub fn is_translucent(&self, hit: &Hit) -> bool {
+        let item = &self.items[hit.item as usize];
+        let Geometry::Mesh(mesh) = item.item.geometry else { return false };
+        item.material(mesh, hit.index).is_some_and(|material| material.translucent)
+    }
+
+    /// Whether anything is translucent.
+    pub fn has_translucent(&self) -> bool {
+        self.items.iter().any(|item| item.item.materials.iter().any(|own| own.translucent))
+    }
+
     pub fn instance(&self, hit: &Hit) -> u32 {
         self.items[hit.item as usize].item.instance
     }

@@ -272,3 +272,40 @@ fn frames_do_not_depend_on_the_number_of_threads() {
     };
     assert_eq!(threads(1), threads(5));
 }
+
+/// A square at a depth, with the alpha and grey of material `number`.
+fn sheet(z: f64, number: u32) -> crate::assets::Mesh {
+    let mut sheet = quad(DVec3::Z * z, DVec3::X, DVec3::Y);
+    sheet.parts = vec![MeshPart { triangles: 2, material: Some(number) }];
+    sheet
+}
+
+#[test]
+fn translucent_sheets_lie_over_what_is_behind_them() {
+    let glass = |grey: f32, alpha| Material {
+        base_color: [grey, grey, grey, alpha],
+        translucent: true,
+        ..Material::default()
+    };
+    let wall = Material { base_color: [0.8, 0.8, 0.8, 1.0], ..Material::default() };
+    let materials = [glass(1.0, 0.5), glass(0.2, 0.25), wall];
+    // The file's order is neither that of depths nor its reverse; the last sheet is behind the wall.
+    let sheets = [(0.0, 0), (-1.0, 2), (0.5, 1), (-2.0, 0)];
+    let sheets = sheets.map(|(z, number)| Geometry::Mesh(sheet(z, number)));
+    let items = |count: usize| {
+        let item = |geometry| OracleItem { materials: &materials, ..item(geometry) };
+        sheets[..count].iter().map(item).collect()
+    };
+    let view = camera([0.0, 0.0, 6.0], [0.0; 3], 4.0).view(4, 4).unwrap();
+    let frame = render(&scene(items(4)), &view, 1);
+    let expected = 0.25 * 0.2 + 0.75 * (0.5 * 1.0 + 0.5 * 0.8);
+    for (color, depth) in frame.color.iter().zip(&frame.depth) {
+        near(*color, [expected, expected, expected, 1.0]);
+        assert!((depth - 5.5).abs() < 1e-9, "glass has a depth: {depth}");
+    }
+    // Before nothing, what is covered counts: a transparent background stays so in part.
+    let alone = OracleScene { background: [0.3, 0.3, 0.3, 0.0], ..scene(items(1)) };
+    assert!(render(&alone, &view, 1).color.iter().all(|color| *color == [1.0, 1.0, 1.0, 0.5]));
+    let fine = render(&alone, &view, 2);
+    assert!(fine.color.iter().all(|color| (color[3] - 0.5).abs() < 1e-12));
+}

@@ -1,5 +1,6 @@
 //! Which sample or triangle each pixel shows.
 
+use std::cmp::Ordering;
 use std::ops::Range;
 
 use glam::{DVec2, DVec3};
@@ -108,8 +109,14 @@ pub fn pixel_ray(view: &View, x: usize, y: usize) -> DVec3 {
 }
 
 /// The hit of every pixel of a frame, or of its `fineness` × `fineness` sub-pixels: samples cover
-/// whole pixels, triangles the fine ones. Samples that are drawn as splats give no hits.
-pub fn resolve(prepared: &Prepared<'_>, view: &View, fineness: u32) -> Vec<Option<Hit>> {
+/// whole pixels, triangles the fine ones. Samples that are drawn as splats give no hits. `opaque`: translucent triangles give none
+/// either.
+pub fn resolve(
+    prepared: &Prepared<'_>,
+    view: &View,
+    fineness: u32,
+    opaque: bool,
+) -> Vec<Option<Hit>> {
     let (width, height) = (view.width as usize, view.height as usize);
     let mut coarse = vec![None; width * height];
     for (number, item) in prepared.items.iter().enumerate() {
@@ -127,7 +134,12 @@ pub fn resolve(prepared: &Prepared<'_>, view: &View, fineness: u32) -> Vec<Optio
     let fine_view = view.finer(fineness);
     for (number, item) in prepared.items.iter().enumerate() {
         if let Geometry::Mesh(mesh) = item.item.geometry {
-            add_triangles(prepared, &fine_view, &mut fine, (number as u32, item, mesh));
+            let keep = |kept: &mut Option<Hit>, hit| {
+                if !(opaque && prepared.is_translucent(&hit)) {
+                    keep_nearer(prepared, kept, hit);
+                }
+            };
+            add_triangles(prepared, &fine_view, &mut fine, (number as u32, item, mesh), keep);
         }
         if let Geometry::Lines(lines) = item.item.geometry {
             lines::add(prepared, &fine_view, &mut fine, (number as u32, item, lines));
@@ -136,15 +148,34 @@ pub fn resolve(prepared: &Prepared<'_>, view: &View, fineness: u32) -> Vec<Optio
     fine
 }
 
+/// All hits of translucent triangles of every pixel of a view, the nearest first.
+pub fn layers(prepared: &Prepared<'_>, view: &View) -> Vec<Vec<Hit>> {
+    let mut layers = vec![Vec::new(); view.width as usize * view.height as usize];
+    for (number, item) in prepared.items.iter().enumerate() {
+        if let Geometry::Mesh(mesh) = item.item.geometry {
+            let keep = |kept: &mut Vec<Hit>, hit| {
+                if prepared.is_translucent(&hit) {
+                    kept.push(hit);
+                }
+            };
+            add_triangles(prepared, view, &mut layers, (number as u32, item, mesh), keep);
+        }
+    }
+    for hits in &mut layers {
+        hits.sort_by(|a, b| order(prepared, a, b));
+    }
+    layers
+}
+
+/// The order in which two hits of a pixel are seen, the nearer first.
+pub fn order(prepared: &Prepared<'_>, a: &Hit, b: &Hit) -> Ordering {
+    let number = |hit: &Hit| (prepared.instance(hit), hit.index, hit.item);
+    a.depth.total_cmp(&b.depth).then_with(|| number(a).cmp(&number(b)))
+}
+
 /// Keeps the nearer of two hits.
 pub fn keep_nearer(prepared: &Prepared<'_>, kept: &mut Option<Hit>, hit: Hit) {
-    let order = |hit: &Hit| (prepared.instance(hit), hit.index, hit.item);
-    let nearer = match kept {
-        None => true,
-        Some(old) if hit.depth == old.depth => order(&hit) < order(old),
-        Some(old) => hit.depth < old.depth,
-    };
-    if nearer {
+    if kept.is_none_or(|old| order(prepared, &hit, &old).is_lt()) {
         *kept = Some(hit);
     }
 }
@@ -224,11 +255,12 @@ impl SeenPoint {
     }
 }
 
-fn add_triangles(
+fn add_triangles<Kept: Send>(
     prepared: &Prepared<'_>,
     view: &View,
-    frame: &mut [Option<Hit>],
+    frame: &mut [Kept],
     (number, item, mesh): (u32, &PreparedItem<'_>, &Mesh),
+    keep: impl Fn(&mut Kept, Hit) + Sync,
 ) {
     let seen = |index: u32| {
         let triangle = SeenTriangle::new(item.triangle_view(mesh, index)?, view.projection)?;
@@ -257,7 +289,7 @@ fn add_triangles(
                         && prepared.shows(view, view.at_depth(ray, hit.depth))
                         && !surface::is_cut_out(prepared, view, &hit, x, y)
                     {
-                        keep_nearer(prepared, &mut pixels[(y - y_begin) * width + x], hit);
+                        keep(&mut pixels[(y - y_begin) * width + x], hit);
                     }
                 }
             }

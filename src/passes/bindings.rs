@@ -17,12 +17,14 @@ pub struct Names<'a> {
     pub segment: Option<usize>,
     /// The level of the pyramid that a pass makes.
     pub level: usize,
+    /// The window that translucent surfaces are drawn in, and the layer.
+    pub window: (usize, usize),
 }
 
 impl<'a> Names<'a> {
     /// The buffer that a shader means by `name`, and its dynamic offset.
     pub fn find(&self, name: &str) -> Option<(Binding<'a>, u32)> {
-        let Names { scratch, residency, scene, uniforms, segment, level } = *self;
+        let Names { scratch, residency, scene, uniforms, segment, level, window } = *self;
         let buffer: &Buffer = match name {
             "frames" => {
                 let window = Binding::Window(scratch.uniforms.buffer(), VIEWS_WINDOW);
@@ -34,6 +36,11 @@ impl<'a> Names<'a> {
             }
             "level" => {
                 let offset = *uniforms.levels.get(level)?;
+                return Some((Binding::Window(scratch.uniforms.buffer(), SEGMENT_WINDOW), offset));
+            }
+            "window" => {
+                let (_, layers) = uniforms.windows.get(window.0)?;
+                let offset = *layers.get(window.1)?;
                 return Some((Binding::Window(scratch.uniforms.buffer(), SEGMENT_WINDOW), offset));
             }
             "few_lights" => {
@@ -50,6 +57,8 @@ impl<'a> Names<'a> {
             "patches_2" => scratch.patches[2].buffer(),
             "patches_3" => scratch.patches[3].buffer(),
             "layers" => scratch.layers.buffer(),
+            "fragments" => scratch.fragments.buffer(),
+            "covered" => scratch.covered.buffer(),
             "pixels" => scratch.pixels.buffer(),
             "colors" => scratch.colors.buffer(),
             "normals" => scratch.normals.buffer(),

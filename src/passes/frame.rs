@@ -58,6 +58,8 @@ pub struct FrameTask {
     pub least_line_px: f32,
     /// Linear RGB and straight alpha of pixels that show nothing.
     pub background: [f32; 4],
+    /// Maximum number of pixels whose translucent fragments are kept at once.
+    pub window_pixels: u32,
     /// Maximum number of entries that a frame of point trees may list.
     pub entry_capacity: u32,
 }
@@ -107,6 +109,17 @@ impl FrameTask {
         let is_lit = self.reconstruction.shades(Shading::Deferred) && self.plan.lights_pixels;
         let is_color = self.output == Output::Color;
         is_lit || (is_color && colors_by_surface) || self.plan.runs(Pass::WriteOutput)
+    }
+
+    /// Whether translucent surfaces are laid over the image, in the order of their depths.
+    pub fn composites(&self) -> bool {
+        self.plan.runs(Pass::CompositeLayers)
+    }
+
+    /// Number of pixels of all views, or of their parts.
+    pub fn pixels(&self) -> u64 {
+        let (width, height) = self.size();
+        u64::from(self.count()) * u64::from(width) * u64::from(height)
     }
 
     /// Whether rays are parallel. All views of a task have one projection.

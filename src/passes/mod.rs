@@ -26,6 +26,7 @@ mod select;
 pub mod shaders;
 mod slabs;
 mod uniforms;
+mod windows;
 
 pub use frame::{FrameTask, frame_record, srgb8};
 pub use levels::Levels;
@@ -36,6 +37,7 @@ pub use recorder::{Context, PassSpan};
 pub use scratch::{LAYERS_BYTES, PATCH_BYTES, Scratch};
 pub use slabs::Slabs;
 pub use uniforms::{GroupUniforms, Uniforms};
+pub use windows::{LAYERS, most_pixels as window_pixels};
 
 /// Longest side, in pixels, of a triangle's box up to which a single thread walks it. Measured with
 /// `cargo bench --bench triangles` on lavapipe: over grids of equal triangles a thread beats walk_triangles by a third at

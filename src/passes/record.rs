@@ -6,7 +6,7 @@ use super::recorder::{Context, PassSpan, Recorder};
 use super::uniforms::GroupUniforms;
 use super::{project, reconstruct, resolve, select};
 use crate::gpu::shader::ShaderError;
-use crate::plan::{Pass, pass_table};
+use crate::plan::{Pass, Step, pass_table};
 use crate::residency::ResidentScene;
 
 macro_rules! functions {
@@ -35,21 +35,33 @@ pub fn record(
 ) -> Result<Vec<PassSpan>, ShaderError> {
     context.timer.begin_frame(encoder);
     let recorder = &mut Recorder::new(context, encoder, task, scene, uniforms);
-    for step in task.plan.steps() {
-        recorder.stage = step.stage;
-        for (segment, level) in recorder.rounds_of(step.per) {
-            (recorder.segment, recorder.level) = (segment, level);
-            if segment.is_some() {
-                // The list of what is large is the segment's own: its ids mean elements of one page.
-                recorder.empty_list();
+    let steps = task.plan.steps();
+    for steps in steps.chunk_by(|a, b| a.stage.is_windowed() == b.stage.is_windowed()) {
+        for window in 0..recorder.repeats(steps[0].stage) {
+            recorder.window = window;
+            if steps[0].stage.is_windowed() {
+                recorder.empty_window();
             }
-            for &pass in &step.passes {
-                recorder.pass = pass;
-                record_pass(recorder)?;
-            }
+            steps.iter().try_for_each(|step| record_step(recorder, step))?;
         }
     }
     Ok(std::mem::take(&mut recorder.spans))
+}
+
+fn record_step(recorder: &mut Recorder, step: &Step) -> Result<(), ShaderError> {
+    recorder.stage = step.stage;
+    for (segment, level) in recorder.rounds_of(step.per) {
+        (recorder.segment, recorder.level) = (segment, level);
+        if segment.is_some() {
+            // The list of what is large is the segment's own: its ids mean elements of one page.
+            recorder.empty_list();
+        }
+        for &pass in &step.passes {
+            recorder.pass = pass;
+            record_pass(recorder)?;
+        }
+    }
+    Ok(())
 }
 
 #[cfg(test)]

@@ -10,7 +10,8 @@ use super::pipelines::{Constants, Pipelines};
 use super::scratch::Scratch;
 use super::shaders::{Choices, Portion, Visibility};
 use super::uniforms::GroupUniforms;
-use crate::bake::pack::GeometryKind;
+use super::windows::{COVERED_BYTES, FRAGMENT_BYTES};
+use crate::bake::pack::{GeometryKind, PageKind};
 use crate::gpu::Gpu;
 use crate::gpu::bind::BindCache;
 use crate::gpu::pipeline::{BindingSlot, GROUPS};
@@ -55,6 +56,9 @@ pub struct Recorder<'a, 'c> {
     pub segment: Segment,
     /// The level of the pyramid that the pass is recorded for, if it is for one; else 0.
     pub level: usize,
+    /// The window of the image that translucent surfaces are drawn in, and the layer that the pass looks at.
+    pub window: usize,
+    pub layer: usize,
     pub spans: Vec<PassSpan>,
 }
 
@@ -106,9 +110,20 @@ impl<'a, 'c> Recorder<'a, 'c> {
         scene: &'a ResidentScene,
         uniforms: &'a GroupUniforms,
     ) -> Self {
-        let (pass, stage, segment, level) = (Pass::Clear, Stage::Select, None, 0);
-        let spans = Vec::new();
-        Self { context, encoder, scene, task, uniforms, pass, stage, segment, level, spans }
+        Self {
+            context,
+            encoder,
+            scene,
+            task,
+            uniforms,
+            pass: Pass::Clear,
+            stage: Stage::Select,
+            segment: None,
+            level: 0,
+            window: 0,
+            layer: 0,
+            spans: Vec::new(),
+        }
     }
 
     /// Returns the segments and levels that a pass is recorded for, one after the other; no segment stands for the whole frame.
@@ -132,24 +147,61 @@ impl<'a, 'c> Recorder<'a, 'c> {
 
     /// How the pass writes the visibility buffer.
     pub fn visibility(&self) -> Visibility {
-        match (self.context.gpu.atomics_64, self.stage) {
+        let gpu = self.context.gpu;
+        let is_wide = match self.stage {
+            Stage::Layers => gpu.atomic_sums_64,
+            _ => gpu.atomics_64,
+        };
+        match (is_wide, self.stage) {
+            (true, Stage::Layers) => Visibility::LayersWide,
+            (false, Stage::Layers) => Visibility::LayersDepth,
+            (_, Stage::LayerIds) => Visibility::LayersId,
             (true, _) => Visibility::Wide,
             (false, Stage::Ids) => Visibility::Id,
             (false, _) => Visibility::Depth,
         }
     }
 
-    /// Which of a segment's slots the pass draws. Splats that are blended in a single pass are drawn wherever they are.
+    /// Which of a segment's slots the pass draws. Splats that are blended in a single pass and translucent surfaces are drawn wherever
+    /// they are.
     pub fn portion(&self) -> Portion {
-        if self.task.hides() && self.stage != Stage::Fuzzy { Portion::Turn } else { Portion::All }
+        let everywhere = self.stage == Stage::Fuzzy || self.stage.is_windowed();
+        if self.task.hides() && !everywhere { Portion::Turn } else { Portion::All }
     }
 
-    /// The scene's segments of some kinds of geometry.
+    /// The scene's segments of some kinds of geometry that the stage draws. Where translucent surfaces are laid over the image, no other
+    /// stage draws them.
     pub fn segments(&self, kinds: &[GeometryKind]) -> Vec<Segment> {
+        let is_drawn = |page: PageKind| {
+            !self.task.composites() || page.translucent == self.stage.is_windowed()
+        };
         (0..self.scene.pages.len())
-            .filter(|&index| kinds.contains(&self.scene.pages[index].kind.kind))
+            .filter(|&index| {
+                let page = self.scene.pages[index].kind;
+                kinds.contains(&page.kind) && is_drawn(page)
+            })
             .map(Some)
             .collect()
+    }
+
+    /// How often a stage is repeated.
+    pub fn repeats(&self, stage: Stage) -> usize {
+        if stage.is_windowed() { self.uniforms.windows.len() } else { 1 }
+    }
+
+    /// Number of pixels of the window.
+    pub fn window_pixels(&self) -> u32 {
+        self.uniforms.windows.get(self.window).map_or(0, |(window, _)| window.end - window.start)
+    }
+
+    /// Empties what the translucent fragments of a window are kept in.
+    pub fn empty_window(&mut self) {
+        let pixels = u64::from(self.window_pixels());
+        let scratch = &self.context.scratch;
+        let buffers = [(&scratch.fragments, FRAGMENT_BYTES), (&scratch.covered, COVERED_BYTES)];
+        for (buffer, bytes) in buffers {
+            self.encoder.clear_buffer(buffer.buffer().raw(), 0, Some(pixels * bytes));
+        }
     }
 
     /// The override of `shared/lanes`.
@@ -323,6 +375,7 @@ impl<'a, 'c> Recorder<'a, 'c> {
             uniforms: self.uniforms,
             segment,
             level: self.level,
+            window: (self.window, self.layer),
         };
         let mut out = Vec::with_capacity(GROUPS);
         for (layout, slots) in layouts.iter().zip(bindings) {

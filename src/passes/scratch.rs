@@ -4,6 +4,7 @@ use std::collections::HashMap;
 
 use super::frame::FrameTask;
 use super::levels::Levels;
+use super::windows::{COVERED_BYTES, FRAGMENT_BYTES, most_pixels};
 use crate::gpu::Gpu;
 use crate::gpu::buffer;
 use crate::plan::{FramePlan, Pass};
@@ -24,6 +25,9 @@ pub struct Scratch {
     pub sums: [buffer::Scratch; 4],
     /// Words of splats that are blended in a single pass; see `shared/slabs`.
     pub layers: buffer::Scratch,
+    /// The nearest translucent fragments of the pixels of a window, and what they cover; see `shared/window`.
+    pub fragments: buffer::Scratch,
+    pub covered: buffer::Scratch,
     /// Levels of pull-push: two words for each pixel of each level in each buffer; see `shared/patches`.
     pub patches: [buffer::Scratch; 4],
     pub stats: buffer::Scratch,
@@ -106,6 +110,8 @@ impl Scratch {
             normals: make("normals"),
             sums: ["sums_0", "sums_1", "sums_2", "sums_3"].map(make),
             layers: make("layers"),
+            fragments: make("fragments"),
+            covered: make("covered"),
             patches: ["patches_0", "patches_1", "patches_2", "patches_3"].map(make),
             stats: make("stats"),
             placed: make("placed"),
@@ -148,8 +154,16 @@ impl Scratch {
             true => Levels::of((width, height)).pixels() * PATCH_BYTES,
             false => 0,
         };
+        let fragments = match plan.runs(Pass::CompositeLayers) {
+            true => {
+                let pixels = u64::from(width) * u64::from(height);
+                pixels.min(most_pixels(u64::MAX).into()) * FRAGMENT_BYTES
+            }
+            false => 0,
+        };
         let bytes = [
             patches,
+            fragments,
             u64::from(width) * u64::from(height) * bytes,
             u64::from(scene.instance_end) * size_of::<GpuPlaced>() as u64,
             u64::from(scene.entries(ENTRIES_INITIAL).1) * size_of::<GpuSlot>() as u64,
@@ -160,7 +174,7 @@ impl Scratch {
     /// Makes room for what a group of frames of `scene` needs.
     pub fn reserve(&mut self, gpu: &Gpu, scene: &ResidentScene, task: &FrameTask) {
         let ((width, height), views) = (task.size(), u64::from(task.count()));
-        let pixels = views * u64::from(width) * u64::from(height);
+        let pixels = task.pixels();
         self.visibility.reserve(gpu, pixels * 8);
         self.pixels.reserve(gpu, pixels * 4);
         if task.plan.runs(Pass::WriteOutput) {
@@ -172,6 +186,11 @@ impl Scratch {
         }
         if task.plan.runs(Pass::ResolveFuzzy) {
             self.layers.reserve(gpu, pixels * LAYERS_BYTES);
+        }
+        if task.composites() {
+            let pixels = pixels.min(task.window_pixels.into());
+            self.fragments.reserve(gpu, pixels * FRAGMENT_BYTES);
+            self.covered.reserve(gpu, pixels * COVERED_BYTES);
         }
         if task.plan.runs(Pass::Pull) {
             for patches in &mut self.patches {

@@ -146,6 +146,13 @@ fragments![
     "shared/visibility_64",
     "shared/visibility_depth",
     "shared/visibility_id",
+    "shared/window",
+    "shared/visibility_layers_64",
+    "shared/visibility_layers_depth",
+    "shared/visibility_layers_id",
+    "shared/words_shown",
+    "shared/words_layer",
+    "shared/finish_layer",
     "shared/accepted",
     "shared/codes",
     "shared/chosen",
@@ -173,16 +180,36 @@ pub enum Visibility {
     Depth,
     /// Second of two passes.
     Id,
+    /// The nearest translucent fragments, in as many passes as for [`Visibility::Wide`] or the two others.
+    LayersWide,
+    LayersDepth,
+    LayersId,
 }
 
 impl Visibility {
-    pub const ALL: [Visibility; 3] = [Visibility::Wide, Visibility::Depth, Visibility::Id];
+    pub const ALL: [Visibility; 6] = [
+        Visibility::Wide,
+        Visibility::Depth,
+        Visibility::Id,
+        Visibility::LayersWide,
+        Visibility::LayersDepth,
+        Visibility::LayersId,
+    ];
+
+    /// Whether translucent fragments are kept.
+    pub fn is_of_layers(self) -> bool {
+        use Visibility::{LayersDepth, LayersId, LayersWide};
+        matches!(self, LayersWide | LayersDepth | LayersId)
+    }
 
     fn fragment(self) -> &'static str {
         match self {
             Visibility::Wide => "shared/visibility_64",
             Visibility::Depth => "shared/visibility_depth",
             Visibility::Id => "shared/visibility_id",
+            Visibility::LayersWide => "shared/visibility_layers_64",
+            Visibility::LayersDepth => "shared/visibility_layers_depth",
+            Visibility::LayersId => "shared/visibility_layers_id",
         }
     }
 }
@@ -235,6 +262,8 @@ pub struct Choices {
     pub portion: Portion,
     /// `FINISH`: a later pass writes the output.
     pub kept: bool,
+    /// `FINISH`, `WORDS`: translucent surfaces are drawn, layer by layer.
+    pub layers: bool,
 }
 
 impl Default for Choices {
@@ -252,12 +281,13 @@ impl Default for Choices {
             fields: false,
             portion: Portion::All,
             kept: false,
+            layers: false,
         }
     }
 }
 
 impl Choices {
-    fn aliases(&self) -> [(&'static str, &'static str); 14] {
+    fn aliases(&self) -> [(&'static str, &'static str); 15] {
         let either = |choice, yes, no| if choice { yes } else { no };
         [
             ("VOTE", either(self.subgroups, "shared/vote_subgroup", "shared/vote_alone")),
@@ -280,7 +310,15 @@ impl Choices {
             ("NODES", either(self.nodes, "shared/nodes_tree", "shared/nodes_none")),
             ("FIELDS", either(self.fields, "shared/fields_shown", "shared/fields_none")),
             ("PORTION", self.portion.fragment()),
-            ("FINISH", either(self.kept, "shared/finish_kept", "shared/finish_written")),
+            (
+                "FINISH",
+                match (self.layers, self.kept) {
+                    (true, _) => "shared/finish_layer",
+                    (false, true) => "shared/finish_kept",
+                    (false, false) => "shared/finish_written",
+                },
+            ),
+            ("WORDS", either(self.layers, "shared/words_layer", "shared/words_shown")),
         ]
     }
 }

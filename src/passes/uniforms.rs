@@ -1,8 +1,11 @@
 //! Uniform words of a batch, written to the GPU in one go before the submission.
 
+use std::ops::Range;
+
 use super::frame::{FrameTask, frame_record};
 use super::levels::Levels;
 use super::scratch::Scratch;
+use super::windows;
 use crate::gpu::Gpu;
 use crate::plan::Pass;
 use crate::residency::ResidentScene;
@@ -20,12 +23,13 @@ pub struct Uniforms {
     bytes: Vec<u8>,
 }
 
-/// Where the records of one group lie: those of its views, then one a segment, then one a level.
+/// Where the records of one group lie: those of its views, then one a segment, one a level, and one a layer of each window.
 #[derive(Clone, Debug)]
 pub struct GroupUniforms {
     pub views: u32,
     pub segments: Vec<u32>,
     pub levels: Vec<u32>,
+    pub windows: Vec<(Range<u32>, Vec<u32>)>,
 }
 
 impl Uniforms {
@@ -48,7 +52,16 @@ impl Uniforms {
             true => Levels::of(task.size()).records().map(|record| self.push(&record)).collect(),
             false => Vec::new(),
         };
-        GroupUniforms { views, segments, levels }
+        let windows = match task.composites() {
+            true => windows::windows(task.pixels(), task.window_pixels),
+            false => Vec::new(),
+        };
+        let mut place = |window: Range<u32>| {
+            let layers = windows::records(&window).map(|record| self.push(&[record])).collect();
+            (window, layers)
+        };
+        let windows = windows.into_iter().map(&mut place).collect();
+        GroupUniforms { views, segments, levels, windows }
     }
 
     pub fn write(&self, gpu: &Gpu, scratch: &mut Scratch) {

@@ -36,6 +36,8 @@ pub struct SceneFacts {
     pub sparse_lines: bool,
     /// Its assets are point trees, from which a frame takes the detail that it shows.
     pub trees: bool,
+    /// Some of its triangles are translucent.
+    pub translucent: bool,
 }
 
 impl SceneFacts {
@@ -51,6 +53,8 @@ pub const TURNS: u32 = 7;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AdapterFacts {
     pub atomics_64: bool,
+    /// 64-bit atomics return values as well, and add.
+    pub atomic_sums_64: bool,
     /// Large triangles go to the rasteriser rather than to a walk in compute.
     pub rasterises: bool,
     /// Occlusion culling is off, for tests and measurements.
@@ -264,8 +268,12 @@ mod tests {
     const BOTH: Counts = Counts { samples: 1, ..TRIANGLES };
 
     const POINTS: Reconstruction = Reconstruction::Points;
-    const WIDE: AdapterFacts =
-        AdapterFacts { atomics_64: true, rasterises: true, draws_hidden: false };
+    const WIDE: AdapterFacts = AdapterFacts {
+        atomics_64: true,
+        atomic_sums_64: true,
+        rasterises: true,
+        draws_hidden: false,
+    };
 
     fn plan(
         scene: &SceneFacts,
@@ -282,15 +290,18 @@ mod tests {
         let sides = [false, true];
         let mut adapters = Vec::new();
         for (atomics_64, rasterises, draws_hidden) in iproduct(sides, sides, sides) {
-            adapters.push(AdapterFacts { atomics_64, rasterises, draws_hidden });
+            let atomic_sums_64 = atomics_64 && !draws_hidden;
+            adapters.push(AdapterFacts { atomics_64, atomic_sums_64, rasterises, draws_hidden });
         }
         let mut scenes = Vec::new();
         for (samples, triangles, trees) in iproduct([0, 1], [0, 1], sides) {
+            let translucent = triangles > 0 && trees;
             for (lights, chunks) in [(0, 1), (2, 1), (0, MANY_CHUNKS), (2, MANY_CHUNKS)] {
                 scenes.push(SceneFacts {
                     counts: Counts { samples, triangles, segments: 0, chunks, instances: 1 },
                     lights,
                     trees,
+                    translucent,
                     ..SceneFacts::default()
                 });
             }
@@ -414,6 +425,27 @@ mod tests {
     }
 
     #[test]
+    fn translucent_triangles_take_passes_where_there_are_some() {
+        let opaque = SceneFacts { counts: TRIANGLES, ..Default::default() };
+        let glass = SceneFacts { translucent: true, ..opaque };
+        let halves = AdapterFacts { atomic_sums_64: false, ..WIDE };
+        let runs = |facts: &SceneFacts, output, adapter: &AdapterFacts| {
+            let plan = plan(facts, output, &POINTS, adapter);
+            let names = running(&plan).into_iter().map(Pass::name);
+            names.filter(|name| name.contains("layers")).collect::<Vec<_>>()
+        };
+        let whole = ["project_triangles_layers", "rasterise_triangles_layers"];
+        let ids = ["project_triangles_layers_id", "rasterise_triangles_layers_id"];
+        let ends = ["resolve_triangles_layers", "composite_layers"];
+        assert_eq!(runs(&glass, Output::Color, &WIDE), [whole, ends].concat());
+        assert_eq!(runs(&glass, Output::Color, &halves), [whole, ids, ends].concat());
+        assert!(runs(&opaque, Output::Color, &WIDE).is_empty());
+        for output in [Output::Depth, Output::Normal, Output::Id] {
+            assert!(runs(&glass, output, &WIDE).is_empty());
+        }
+    }
+
+    #[test]
     fn only_color_is_lit() {
         let facts = SceneFacts { counts: SAMPLES, lights: 2, ..Default::default() };
         assert!(plan(&facts, Output::Color, &POINTS, &WIDE).lights_pixels);
@@ -486,7 +518,8 @@ mod tests {
         for &pass in Pass::ALL {
             assert_eq!(serde_json::to_value(pass).unwrap(), pass.name());
             let file = pass.shader().rsplit('/').next().unwrap();
-            assert!([file.to_owned(), format!("{file}_id")].contains(&pass.name().to_owned()));
+            let half = pass.name().strip_prefix(file).unwrap();
+            assert!(["", "_id", "_layers", "_layers_id"].contains(&half));
         }
     }
 

@@ -63,8 +63,16 @@ macro_rules! pass_table {
             ResolveTriangles     Compute resolve/resolve_triangles     ""    [Resolve]           Frame     [NO_TRIANGLES];
             ResolveLines         Compute resolve/resolve_lines         ""    [Resolve]           Frame     [NO_LINES];
             WriteOutput          Compute resolve/write_output          ""    [Resolve]           Frame     [NOT_COLOR NO_EFFECT];
-            Average              Compute resolve/average               ""    [Resolve]           Frame     [NOT_AVERAGED];
-            Identify             Compute resolve/identify              ""    [Resolve]           Frame     [NOT_PICKED];
+            ProjectTrianglesLayers      Compute project/project_triangles   "_layers"    [Layers]   Triangles [OPAQUE_SCENE NOT_COLOR];
+            RasteriseTrianglesLayers    Raster  project/rasterise_triangles "_layers"    [Layers]   Triangles [OPAQUE_SCENE NOT_COLOR WALKS];
+            WalkTrianglesLayers         Compute project/walk_triangles      "_layers"    [Layers]   Triangles [OPAQUE_SCENE NOT_COLOR RASTERISES];
+            ProjectTrianglesLayersId    Compute project/project_triangles   "_layers_id" [LayerIds] Triangles [OPAQUE_SCENE NOT_COLOR WIDE_SUMS];
+            RasteriseTrianglesLayersId  Raster  project/rasterise_triangles "_layers_id" [LayerIds] Triangles [OPAQUE_SCENE NOT_COLOR WIDE_SUMS WALKS];
+            WalkTrianglesLayersId       Compute project/walk_triangles      "_layers_id" [LayerIds] Triangles [OPAQUE_SCENE NOT_COLOR WIDE_SUMS RASTERISES];
+            ResolveTrianglesLayers      Compute resolve/resolve_triangles   "_layers"    [Composite] Frame    [OPAQUE_SCENE NOT_COLOR];
+            CompositeLayers             Compute resolve/composite_layers    ""           [Composite] Frame    [OPAQUE_SCENE NOT_COLOR];
+            Average              Compute resolve/average               ""    [Finish]            Frame     [NOT_AVERAGED];
+            Identify             Compute resolve/identify              ""    [Finish]            Frame     [NOT_PICKED];
         }
     };
 }
@@ -87,10 +95,18 @@ pub enum Stage {
     PullPush,
     /// Computes the pixels.
     Resolve,
+    /// This stage and the next two repeat for each window of the image. Keeps the nearest translucent fragments of each pixel.
+    Layers,
+    /// Writes the ids of those fragments, where 64-bit atomics are missing.
+    LayerIds,
+    /// Lays translucent surfaces over the image.
+    Composite,
+    /// Makes the result of the pixels.
+    Finish,
 }
 
 impl Stage {
-    pub const ALL: [Stage; 7] = [
+    pub const ALL: [Stage; 11] = [
         Stage::Select,
         Stage::Project,
         Stage::Ids,
@@ -98,7 +114,16 @@ impl Stage {
         Stage::Fuzzy,
         Stage::PullPush,
         Stage::Resolve,
+        Stage::Layers,
+        Stage::LayerIds,
+        Stage::Composite,
+        Stage::Finish,
     ];
+
+    /// Whether it draws translucent surfaces, window by window.
+    pub fn is_windowed(self) -> bool {
+        matches!(self, Stage::Layers | Stage::LayerIds | Stage::Composite)
+    }
 }
 
 /// How often a pass is recorded. Consecutive passes over segments of one kind take turns segment by segment, and share the list of
@@ -165,6 +190,7 @@ reasons! {
     FEW_CHUNKS: "the scene has fewer than 128 chunks", |f| f.scene.counts.chunks < MANY_CHUNKS;
     DRAWS_HIDDEN: "occlusion culling is off", |f| f.adapter.draws_hidden;
     WIDE: "the adapter has 64-bit atomics", |f| f.adapter.atomics_64;
+    WIDE_SUMS: "the adapter has 64-bit atomics that return values", |f| f.adapter.atomic_sums_64;
     RASTERISES: "the adapter's rasteriser draws large triangles", |f| f.adapter.rasterises;
     WALKS: "the adapter's rasteriser is slower than walk_triangles", |f| !f.adapter.rasterises;
     AS_POINTS: "samples are drawn as points", |f| f.frame.reconstruction.is_points();
@@ -181,6 +207,7 @@ reasons! {
     NO_EFFECT: "no effect reads neighbouring pixels", |f| f.frame.edl.is_none();
     NOT_COLOR: "the output is not color", |f| f.frame.output != super::Output::Color;
     NOT_AVERAGED: "pixels have one part", |f| !f.frame.is_averaged;
+    OPAQUE_SCENE: "the scene has no translucent triangles", |f| !f.scene.translucent;
     IDS: "the output is id", |f| f.frame.output == super::Output::Id;
     // `FramePlan::with_identities` makes it run.
     NOT_PICKED: "no pixel is picked", |_| true;

@@ -165,7 +165,8 @@ pub struct GpuStats {
     /// Bounds of all that may be drawn, see `shared/scene.wgsl`.
     pub drawn_bounds: [u32; 4],
     pub pixels_filled: u32,
-    pub unused: u32,
+    pub layers: u32,
+    pub pixels_of_all_layers: u32,
     pub segments_tested: [u32; 2],
     pub segments_listed: u32,
     pub pixels_of_segments: u32,

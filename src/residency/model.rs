@@ -112,6 +112,12 @@ impl AssetModel {
         self.outlined.get_or_init(|| Outline::of_all(&self.packed.geometries))
     }
 
+    /// Whether something shows through some of its triangles.
+    pub fn has_translucent(&self) -> bool {
+        let geometries = self.packed.geometries.iter();
+        geometries.flat_map(|geometry| geometry.chunks()).any(|chunk| chunk.translucent)
+    }
+
     /// Attributes that its file has.
     pub fn traits(&self) -> AssetTraits {
         let geometries = &self.packed.geometries;

@@ -179,7 +179,7 @@ mod tests {
     fn boxes_hold_all_corners_of_triangles() {
         let positions = scattered(900, 2);
         let triangles = (0..300u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
-        let packed = pack_mesh(&Mesh { positions, triangles, ..Mesh::default() }).unwrap();
+        let packed = pack_mesh(&Mesh { positions, triangles, ..Mesh::default() }, &[]).unwrap();
         let geometry = PackedGeometry::Triangles(packed.clone());
         for chunk in &packed.chunks {
             let boxes = parts_of(&geometry, chunk);

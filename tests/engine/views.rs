@@ -72,6 +72,50 @@ fn poses(scene: &str, output: Output) -> Vec<FrameRequest> {
         .collect()
 }
 
+/// Loads translucent panes that cross, before and behind a ball.
+fn load_panes(studio: &Studio) {
+    studio.write("pane.mtl", "newmtl pane\nKd 0.8 0.2 0.1\nd 0.5\n");
+    studio.write(
+        "pane.obj",
+        "mtllib pane.mtl\nusemtl pane\nv -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nf 1 2 3 4\n",
+    );
+    studio.write("marble.ply", sphere(12));
+    studio.load_json(
+        "panes",
+        &json!({
+            "assets": { "pane": { "file": "pane.obj" }, "marble": { "file": "marble.ply" } },
+            "nodes": [
+                { "asset": "pane", "rotate": [0, 30, 0] },
+                { "asset": "pane", "rotate": [0, 110, 20] },
+                { "asset": "pane", "rotate": [60, 0, 0], "scale": 0.1, "translate": [0.2, 0.1, 0.6] },
+                { "asset": "marble", "scale": 0.5 },
+            ],
+            "lights": [{ "kind": "headlight" }],
+        }),
+    );
+}
+
+/// Where a binding is too small for a picture's translucent fragments, the picture is drawn window by window.
+#[test]
+fn windows_change_no_pixel() {
+    let [small, whole] = [Some(1 << 20), None].map(|max_binding_bytes| {
+        let studio = Studio::with(|config| config.max_binding_bytes = max_binding_bytes);
+        load_panes(&studio);
+        studio
+    });
+    let mut most = 0;
+    for request in poses("panes", Output::Color) {
+        // Three windows, which begin within a row.
+        let request = FrameRequest { width: 251, height: 163, ..request };
+        let [found, all] = [&small, &whole].map(|studio| studio.frame(&request));
+        same(&found.bytes, &all.bytes, &format!("{request:?}"));
+        let deepest = [&found, &all].map(|frame| frame.receipt.translucent.unwrap().deepest);
+        assert_eq!(deepest[0], deepest[1], "{request:?}");
+        most = most.max(deepest[0]);
+    }
+    assert!(most >= 2, "{most} layers");
+}
+
 #[test]
 fn each_view_is_what_it_is_alone() {
     for (force_32_bit, rasterise) in [(false, false), (false, true), (true, false), (true, true)] {
@@ -80,7 +124,8 @@ fn each_view_is_what_it_is_alone() {
             config.rasterise = Some(rasterise);
         });
         studio.load_two();
-        for scene in ["solid", "cloud"] {
+        load_panes(&studio);
+        for scene in ["solid", "cloud", "panes"] {
             for output in OUTPUTS {
                 let what = format!("{scene}, 32 bit: {force_32_bit}, rasterised: {rasterise}");
                 together_as_alone(&studio, &poses(scene, output), &what);

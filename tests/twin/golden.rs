@@ -104,6 +104,11 @@ fn textured() {
 }
 
 #[test]
+fn glasshouse() {
+    compare("glasshouse", &["corner", "bench"]);
+}
+
+#[test]
 fn plaza() {
     compare("plaza", &["walk", "assembly"]);
 }

@@ -33,6 +33,7 @@ mod scenes;
 mod splats;
 mod splats_figures;
 mod stage;
+mod translucent;
 mod trees;
 mod triangles;
 mod verdict;

@@ -32,6 +32,13 @@ fn textured() {
     check("textured", &["front", "detail", "grazing"], &Tolerance::default());
 }
 
+/// Up to a dozen panes, and balls within balls, before and behind leaves.
+#[test]
+fn glasshouse() {
+    let tolerance = Tolerance { unless_noise: true, ..Tolerance::default() };
+    check("glasshouse", &["corner", "bench", "inside", "through"], &tolerance);
+}
+
 /// Thin lines are drawn by their keys, in other pixels than the reference; here they are three pixels wide.
 #[test]
 fn neurons() {

@@ -163,6 +163,7 @@ impl Case {
                 Pass::ProjectSamplesId,
                 Pass::ProjectSplatsId,
                 Pass::ProjectTrianglesId,
+                Pass::ProjectTrianglesLayersId,
                 Pass::ProjectLinesId,
             ];
             if pass.ran && second.iter().any(|second| second.name() == pass.name) {
@@ -195,7 +196,9 @@ impl Case {
         if frames.receipt.triangles.rasterised.is_some_and(|large| large > 0) {
             let rasterised =
                 self::frames(&RASTERISING, &self.id, view, Settings::drawn_as(Reconstruct::Points));
-            assert!(rasterised.ran(Pass::RasteriseTriangles) && frames.ran(Pass::WalkTriangles));
+            let ran = |frames: &Frames, passes: [Pass; 2]| passes.iter().any(|&p| frames.ran(p));
+            assert!(ran(&rasterised, [Pass::RasteriseTriangles, Pass::RasteriseTrianglesLayers]));
+            assert!(ran(&frames, [Pass::WalkTriangles, Pass::WalkTrianglesLayers]));
             let id = format!("{}-rasterised", self.id);
             verdict::judge(&id, &self.reference, view, &rasterised, tolerance);
         }

@@ -16,7 +16,7 @@ use ::gltf::json::{Index, Root, Value, material};
 
 use super::super::input::{Folder, read_bounded};
 use super::super::texture::{self, TextureBudget};
-use super::super::{Filter, Material, ReadOptions, Texture, Wrap};
+use super::super::{Filter, LEAST_ALPHA, Material, ReadOptions, Texture, Wrap};
 use super::buffers::Buffers;
 use super::container::{data_uri, percent_decoded};
 
@@ -100,12 +100,9 @@ impl<'a> Materials<'a> {
             Checked::Valid(AlphaMode::Mask) => {
                 Some(source.alpha_cutoff.map_or(0.5, |cutoff| cutoff.0).max(0.0))
             }
-            Checked::Valid(AlphaMode::Blend) if texture.is_some() => Some(0.5 * a),
+            Checked::Valid(AlphaMode::Blend) if texture.is_some() => Some(LEAST_ALPHA),
             _ => None,
         };
-        if matches!(source.alpha_mode, Checked::Valid(AlphaMode::Blend)) {
-            self.warnings.push(format!("material {name}: blending is drawn as a cut-out"));
-        }
         let unlit = source.extensions.as_ref().is_some_and(|ext| ext.unlit.is_some());
         self.materials.push(Material {
             name,
@@ -116,6 +113,7 @@ impl<'a> Materials<'a> {
             double_sided: source.double_sided,
             unlit,
             alpha_cutoff,
+            translucent: matches!(source.alpha_mode, Checked::Valid(AlphaMode::Blend)),
         });
         let known = (self.materials.len() as u32 - 1, placement);
         self.known.insert(index.value(), known);

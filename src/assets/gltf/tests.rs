@@ -2,7 +2,7 @@ use glam::{DVec3, Vec2, Vec3};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
-use super::super::{Filter, Geometry, Mesh, PointCloud, Wrap, texture};
+use super::super::{Filter, Geometry, LEAST_ALPHA, Mesh, PointCloud, Wrap, texture};
 use super::*;
 use crate::memory::{Admission, HostMemory, Interrupt};
 
@@ -369,7 +369,7 @@ fn specular_glossiness_is_understood() {
     assert_eq!(material.base_color, [0.0, 1.0, 0.0, 0.5]);
     assert_eq!((material.specular, material.base_texture), ([0.1, 0.2, 0.3], Some(0)));
     assert!((material.shininess - 30.0).abs() < 1e-3);
-    assert_eq!(material.alpha_cutoff, Some(0.25));
+    assert_eq!((material.translucent, material.alpha_cutoff), (true, Some(LEAST_ALPHA)));
     assert_eq!(mesh(&asset, 0).uvs.as_ref().unwrap()[0], Vec2::splat(0.5));
 }
 

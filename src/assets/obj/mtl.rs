@@ -8,7 +8,7 @@ use super::super::input::{Folder, read_bounded};
 use super::super::texture::{self, TextureBudget};
 use super::super::tidy::linear_from_srgb;
 use super::super::tokens::{Tokens, number};
-use super::super::{Material, ReadOptions, Texture, Wrap};
+use super::super::{LEAST_ALPHA, Material, ReadOptions, Texture, Wrap};
 use crate::memory::Admission;
 
 const MAX_LIBRARY_BYTES: u64 = 64 << 20;
@@ -183,10 +183,9 @@ impl Definition {
         if texture.is_some() && diffuse == [0.0; 3] {
             diffuse = [1.0; 3];
         }
+        let alpha = self.alpha.or(self.transparency.map(|tr| 1.0 - tr));
         // Meshlab writes `Tr 1` for opaque; nobody stores what cannot be seen.
-        let alpha =
-            self.alpha.or(self.transparency.map(|tr| if tr >= 1.0 { 1.0 } else { 1.0 - tr }));
-        let alpha = alpha.unwrap_or(1.0).clamp(0.0, 1.0);
+        let alpha = alpha.filter(|alpha| *alpha > 0.0).map_or(1.0, |alpha| alpha.min(1.0));
         let lets_through = texture
             .and_then(|texture| textures.textures.get(texture as usize))
             .is_some_and(texture::has_alpha);
@@ -200,7 +199,9 @@ impl Definition {
             specular: if shines { self.specular.map(linear_from_srgb) } else { [0.0; 3] },
             shininess: if shines { self.exponent.min(1000.0) } else { 1.0 },
             unlit: self.model == Some(0),
-            alpha_cutoff: lets_through.then_some(0.5 * alpha),
+            // An alpha channel alone is that of a cut-out: leaves, fences.
+            alpha_cutoff: lets_through.then_some(if alpha < 1.0 { LEAST_ALPHA } else { 0.5 }),
+            translucent: alpha < 1.0,
             ..Material::default()
         }
     }
@@ -329,7 +330,9 @@ mod tests {
 
     #[test]
     fn alpha_has_two_spellings() {
-        assert_eq!(material("d 0.25\nTr 0.1").base_color[3], 0.25);
+        let glass = material("d 0.25\nTr 0.1");
+        assert_eq!((glass.base_color[3], glass.translucent), (0.25, true));
+        assert_eq!((material("d 0").base_color[3], material("d 0").translucent), (1.0, false));
         assert_eq!(material("Tr 0.25").base_color[3], 0.75);
         assert_eq!(material("Tr 1.0").base_color[3], 1.0);
         assert_eq!(material("d -halo 0.5").base_color[3], 0.5);

@@ -102,6 +102,7 @@ pub(super) fn chunk_to_words(chunk: &PackedChunk) -> [u32; CHUNK_WORDS] {
         material,
         kernel_base,
         sides,
+        translucent,
         range: NodeRange { base, error_parent, size_parent, error_least, size_least, delta_most },
     } = *chunk;
     [
@@ -118,7 +119,7 @@ pub(super) fn chunk_to_words(chunk: &PackedChunk) -> [u32; CHUNK_WORDS] {
         vertex_count,
         material,
         kernel_base.to_bits(),
-        sides as u32,
+        sides as u32 | u32::from(translucent) << TRANSLUCENT_BIT,
         base.to_bits(),
         error_parent.to_bits(),
         size_parent.to_bits(),
@@ -127,6 +128,9 @@ pub(super) fn chunk_to_words(chunk: &PackedChunk) -> [u32; CHUNK_WORDS] {
         delta_most.to_bits(),
     ]
 }
+
+/// The bit of the word of a chunk's sides that says that it is translucent.
+const TRANSLUCENT_BIT: u32 = 8;
 
 /// Returns `None` if `sides` has an invalid value.
 pub(super) fn chunk_from_words(words: &[u32; CHUNK_WORDS]) -> Option<PackedChunk> {
@@ -160,7 +164,10 @@ pub(super) fn chunk_from_words(words: &[u32; CHUNK_WORDS]) -> Option<PackedChunk
         vertex_count,
         material,
         kernel_base: f32::from_bits(kernel_base),
-        sides: [Sides::Unknown, Sides::Oriented, Sides::Closed].get(sides as usize).copied()?,
+        sides: [Sides::Unknown, Sides::Oriented, Sides::Closed]
+            .get((sides & !(1 << TRANSLUCENT_BIT)) as usize)
+            .copied()?,
+        translucent: sides >> TRANSLUCENT_BIT & 1 == 1,
         range: NodeRange { base, error_parent, size_parent, error_least, size_least, delta_most },
     })
 }

@@ -57,7 +57,7 @@ fn geometries(count: usize, side: u32) -> Vec<PackedGeometry> {
     vec![
         PackedGeometry::Samples(build_tree(&cloud(count), None).unwrap()),
         PackedGeometry::Samples(pack_samples(&cloud(count)).unwrap()),
-        PackedGeometry::Triangles(pack_mesh(&mesh(side)).unwrap()),
+        PackedGeometry::Triangles(pack_mesh(&mesh(side), &[]).unwrap()),
     ]
 }
 

@@ -134,3 +134,25 @@ fn too_many_samples_are_refused() {
         Err(SampleError::TooMany { limit: 100, .. })
     ));
 }
+
+#[test]
+fn translucent_triangles_are_never_replaced() {
+    let mesh = mixed();
+    let (all, half) = (mesh.triangles.len(), mesh.triangles.len() / 2);
+    let parts = [(half, 0), (all - half, 1)].map(|(triangles, number)| MeshPart {
+        triangles: triangles as u32,
+        material: Some(number),
+    });
+    let mesh = Mesh { parts: parts.to_vec(), ..mesh };
+    let solid = Material::default();
+    let glass = Material { translucent: true, ..Material::default() };
+    let baked = hybrid_mesh(&mesh, &[solid, glass.clone()], &[], 1 << 20).unwrap();
+    assert!(baked.sides[half..].iter().all(|&side| side == ALWAYS));
+    assert!(
+        baked.sides[..half].iter().all(|&side| side < 1e3) && !baked.samples.positions.is_empty()
+    );
+    let nothing = hybrid_mesh(&mesh, &[glass.clone(), glass], &[], 1 << 20).unwrap();
+    assert!(
+        nothing.samples.positions.is_empty() && nothing.sides.iter().all(|&side| side == ALWAYS)
+    );
+}

@@ -9,7 +9,9 @@ fn cloud(positions: Vec<DVec3>) -> PackedGeometry {
 }
 
 fn mesh(positions: Vec<DVec3>, triangles: Vec<[u32; 3]>) -> PackedGeometry {
-    PackedGeometry::Triangles(pack_mesh(&Mesh { positions, triangles, ..Mesh::default() }).unwrap())
+    PackedGeometry::Triangles(
+        pack_mesh(&Mesh { positions, triangles, ..Mesh::default() }, &[]).unwrap(),
+    )
 }
 
 fn outline(geometry: &PackedGeometry) -> Outline {

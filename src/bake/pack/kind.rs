@@ -189,12 +189,21 @@ pub struct PageKind {
     pub value_words: u8,
     /// Lines are ribbons.
     pub ribbons: bool,
+    /// What lies behind triangles shows through.
+    pub translucent: bool,
 }
 
 impl PageKind {
     /// Pages of elements without additional words.
     pub const fn plain(kind: GeometryKind) -> PageKind {
-        PageKind { kind, nodes: false, clipped: false, value_words: 0, ribbons: false }
+        PageKind {
+            kind,
+            nodes: false,
+            clipped: false,
+            value_words: 0,
+            ribbons: false,
+            translucent: false,
+        }
     }
 }
 

@@ -189,6 +189,7 @@ impl LinePacker {
                 material: 0,
                 kernel_base: 0.0,
                 sides: Sides::Unknown,
+                translucent: false,
                 range: self.range,
             });
         }

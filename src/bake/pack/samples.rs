@@ -315,6 +315,7 @@ pub(in crate::bake) fn pack_run(
         material: 0,
         kernel_base,
         sides: if oriented { Sides::Oriented } else { Sides::Unknown },
+        translucent: false,
         range: NodeRange::default(),
     };
     PackedRun {

@@ -31,7 +31,7 @@ fn geometries() -> Vec<PackedGeometry> {
     vec![
         PackedGeometry::Samples(pack_samples(&cloud(5000)).unwrap()),
         PackedGeometry::Samples(build_tree(&cloud(5000), None).unwrap()),
-        PackedGeometry::Triangles(pack_mesh(&mesh).unwrap()),
+        PackedGeometry::Triangles(pack_mesh(&mesh, &[]).unwrap()),
     ]
 }
 

@@ -11,10 +11,10 @@ use super::kind::{
     Arrays, LOOKED_AT, PackedKind, PageKind, STRAY_SHARE, Stream, StreamOf, TAIL_SHARE, holds,
 };
 use super::{
-    CHUNK, GeometryKind, Grid, NO_NORMAL, NodeRange, PackError, PackedChunk, Sides, finite, morton,
-    octahedral, octahedral_decode, rgba_word,
+    ALWAYS, CHUNK, GeometryKind, Grid, NO_NORMAL, NodeRange, PackError, PackedChunk, Sides, finite,
+    morton, octahedral, octahedral_decode, rgba_word,
 };
-use crate::assets::{Mesh, MeshPart};
+use crate::assets::{Material, Mesh, MeshPart};
 use crate::math::Bounds;
 
 /// Words of a mesh vertex: grid position, colour, normal, texture coordinates.
@@ -30,13 +30,13 @@ pub struct PackedMesh {
     pub triangles: Vec<u32>,
 }
 
-/// Packs a mesh; vertices shared between chunks are stored in each.
+/// Packs a mesh whose parts refer to `materials`; vertices shared between chunks are stored in each.
 ///
 /// # Errors
 /// See [`PackError`].
-pub fn pack_mesh(mesh: &Mesh) -> Result<PackedMesh, PackError> {
+pub fn pack_mesh(mesh: &Mesh, materials: &[Material]) -> Result<PackedMesh, PackError> {
     let grid = Grid::of(&Bounds::of(mesh.positions.iter().copied()))?;
-    pack_triangles(mesh, grid, None)
+    pack_triangles(mesh, materials, grid, None)
 }
 
 /// Packs a mesh for a point tree. `sides` are the errors up to which triangles are drawn, in mesh units. Triangles are sorted by
@@ -45,11 +45,21 @@ pub fn pack_mesh(mesh: &Mesh) -> Result<PackedMesh, PackError> {
 ///
 /// # Errors
 /// See [`PackError`].
-pub fn pack_hybrid(mesh: &Mesh, grid: Grid, sides: &[f32]) -> Result<PackedMesh, PackError> {
-    pack_triangles(mesh, grid, Some(sides))
+pub fn pack_hybrid(
+    mesh: &Mesh,
+    materials: &[Material],
+    grid: Grid,
+    sides: &[f32],
+) -> Result<PackedMesh, PackError> {
+    pack_triangles(mesh, materials, grid, Some(sides))
 }
 
-fn pack_triangles(mesh: &Mesh, grid: Grid, sides: Option<&[f32]>) -> Result<PackedMesh, PackError> {
+fn pack_triangles(
+    mesh: &Mesh,
+    looks: &[Material],
+    grid: Grid,
+    sides: Option<&[f32]>,
+) -> Result<PackedMesh, PackError> {
     finite(&mesh.positions)?;
     let cells: Vec<IVec3> = mesh.positions.par_iter().map(|&p| grid.quantise(p)).collect();
     let mut materials = vec![0u32; mesh.triangles.len()];
@@ -59,11 +69,19 @@ fn pack_triangles(mesh: &Mesh, grid: Grid, sides: Option<&[f32]>) -> Result<Pack
         materials[at..end].fill(part.material.map_or(0, |m| m + 1));
         at = end;
     }
+    let is_translucent = |material: u32| {
+        let own = material.checked_sub(1).and_then(|material| looks.get(material as usize));
+        own.is_some_and(|material| material.translucent)
+    };
     let longest = sides.map_or(0.0, |sides| sides.iter().copied().fold(0.0, f32::max));
-    // The longest triangles come first.
+    // Translucent triangles come first, which have pages of their own, and then the longest ones.
     let band = |index: usize| {
         let side = sides.map_or(0.0, |sides| sides[index]);
-        if side > 0.0 { (2.0 * (longest / side).log2()) as u32 } else { u32::MAX }
+        match side {
+            _ if is_translucent(materials[index]) => 0,
+            side if side > 0.0 => 1 + (2.0 * (longest / side).log2()) as u32,
+            _ => u32::MAX,
+        }
     };
     let mut order: Vec<(u32, u32, u64, u32)> = mesh
         .triangles
@@ -93,13 +111,16 @@ fn pack_triangles(mesh: &Mesh, grid: Grid, sides: Option<&[f32]>) -> Result<Pack
         last = band;
     }
     packer.finish_boxes();
+    for chunk in &mut packer.out.chunks {
+        chunk.translucent = is_translucent(chunk.material);
+    }
     if let Some(sides) = sides {
         let mut behind = 0.0f32;
         for chunk in packer.out.chunks.iter_mut().rev() {
             let own = order[chunk.elements()].iter().map(|&(.., index)| sides[index as usize]);
             behind = own.fold(behind, f32::max);
             // The bound covers this chunk and those behind it, as for nodes.
-            chunk.range.error_parent = behind / grid.step as f32;
+            chunk.range.error_parent = (behind / grid.step as f32).min(ALWAYS);
             chunk.range.size_parent = chunk.range.error_parent;
         }
     }
@@ -137,6 +158,7 @@ impl MeshPacker<'_> {
                 material,
                 kernel_base: 0.0,
                 sides: Sides::Unknown,
+                translucent: false,
                 range: NodeRange::default(),
             });
         }
@@ -309,8 +331,8 @@ impl PackedKind for PackedMesh {
         holds(u32::try_from(vertices).is_ok(), "there are too many vertices")
     }
 
-    fn page(&self, _chunk: &PackedChunk) -> PageKind {
-        PageKind::plain(GeometryKind::Triangles)
+    fn page(&self, chunk: &PackedChunk) -> PageKind {
+        PageKind { translucent: chunk.translucent, ..PageKind::plain(GeometryKind::Triangles) }
     }
 
     fn streams(_page: PageKind) -> Vec<Stream> {

@@ -1,6 +1,7 @@
 //! The surfaces of visible pixels, and the output that they make.
 
 pub mod average;
+pub mod composite_layers;
 pub mod identify;
 pub mod resolve_fuzzy;
 pub mod resolve_lines;
@@ -40,7 +41,9 @@ pub fn light_constants(looks: Looks, lights: u32) -> Constants {
 
 /// Fragments of a resolve pass: surfaces are kept if a later pass writes the output.
 fn choices(recorder: &Recorder) -> Choices {
-    Choices { kept: recorder.task.plan.runs(Pass::WriteOutput), ..Choices::default() }
+    let layers = recorder.stage.is_windowed();
+    let kept = !layers && recorder.task.plan.runs(Pass::WriteOutput);
+    Choices { kept, layers, ..Choices::default() }
 }
 
 /// Override of the value that colours surfaces, where one does.

@@ -39,7 +39,7 @@ fn bytes_are_little_endian_words_in_the_order_that_the_module_says() {
     let all = small();
     let PackedGeometry::Samples(tree) = &all[0] else { panic!("samples") };
     let bytes = bytes_of(&all);
-    assert_eq!(bytes[..12], *b"PTLSBAKE\x05\0\0\0");
+    assert_eq!(bytes[..12], *b"PTLSBAKE\x06\0\0\0");
     assert_eq!(bytes[12..16], [3, 0, 0, 0]);
     assert_eq!(bytes[16..48], KEY);
     assert_eq!(bytes[48..56], (bytes.len() as u64).to_le_bytes());

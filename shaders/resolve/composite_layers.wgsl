@@ -1,0 +1,31 @@
+// Lays the translucent surfaces over the image (Porter & Duff 1984). A thread takes a pixel.
+//!include shared/frame
+//!include shared/scene
+//!include shared/colour
+//!include shared/window
+
+@group(0) @binding(1) var<storage, read> fragments: array<vec2<u32>>;
+@group(0) @binding(2) var<storage, read_write> pixels: array<u32>;
+@group(0) @binding(3) var<storage, read> covered: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
+
+@compute @workgroup_size(64)
+fn composite_layers(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    begin_view(0u);
+    let pixel = window.first_pixel + (group.y * DISPATCH_ROW + group.x) * 64u + lane;
+    if !is_in_window(pixel) {
+        return;
+    }
+    let over = covered[place_in(0u, pixel)];
+    if over.a <= 0.0 {
+        return;
+    }
+    let word = pixels[pixel];
+    let below = unpack4x8unorm(word).a * (1.0 - over.a);
+    let alpha = over.a + below;
+    let color = (over.rgb + below * linear_color(word)) / alpha;
+    pixels[pixel] = pack4x8unorm(vec4<f32>(srgb_from_linear(color), alpha));
+    if fragments[place_in(LAYERS - 1u, pixel)].y != 0u {
+        atomicAdd(&stats[pixel / (frame.size_px.x * frame.size_px.y)].pixels_of_all_layers, 1u);
+    }
+}

@@ -1,0 +1,99 @@
+//! Translucent triangles of files whose formats have no materials: those with a vertex colour whose alpha is below 1.
+
+use super::{Asset, AssetError, Geometry, Material, Mesh, MeshPart, ReadOptions};
+
+/// Gives such triangles a translucent material. Where every vertex has alpha 0, exporters mean that there is none.
+///
+/// # Errors
+/// The parts of a mesh do not fit into memory.
+pub(super) fn from_vertex_colors(
+    asset: &mut Asset,
+    name: &str,
+    options: &ReadOptions,
+) -> Result<(), AssetError> {
+    if !asset.materials.is_empty() {
+        return Ok(());
+    }
+    for geometry in &mut asset.geometries {
+        let Geometry::Mesh(mesh) = geometry else { continue };
+        let flags = flags(mesh);
+        if !flags.contains(&true) {
+            continue;
+        }
+        let runs = || flags.chunk_by(|a, b| a == b);
+        let bytes = runs().count() * size_of::<MeshPart>();
+        options.admission.grow(name, bytes as u64)?;
+        let part =
+            |run: &[bool]| MeshPart { triangles: run.len() as u32, material: run[0].then_some(0) };
+        mesh.parts = runs().map(part).collect();
+        if asset.materials.is_empty() {
+            let name = "translucent".to_owned();
+            asset.materials.push(Material { name, translucent: true, ..Material::default() });
+        }
+    }
+    Ok(())
+}
+
+/// For each triangle whether something shows through.
+fn flags(mesh: &Mesh) -> Vec<bool> {
+    let Some(colors) = &mesh.colors else { return Vec::new() };
+    if colors.iter().all(|color| color[3] == 0) || colors.iter().all(|color| color[3] == 255) {
+        return Vec::new();
+    }
+    let shows = |&corner: &u32| colors.get(corner as usize).is_some_and(|color| color[3] < 255);
+    mesh.triangles.iter().map(|corners| corners.iter().any(shows)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::memory::{Admission, HostMemory};
+
+    /// Two triangles between four vertices of these alphas, as a PLY file.
+    fn ply(alphas: [u8; 4]) -> String {
+        let mut text = String::from(
+            "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
+             property uchar red\nproperty uchar green\nproperty uchar blue\nproperty uchar alpha\n\
+             element face 2\nproperty list uchar int vertex_indices\nend_header\n",
+        );
+        for (corner, alpha) in [[0, 0], [1, 0], [1, 1], [0, 1]].iter().zip(alphas) {
+            text += &format!("{} {} 0 9 8 7 {alpha}\n", corner[0], corner[1]);
+        }
+        text + "3 0 1 2\n3 0 2 3\n"
+    }
+
+    fn parts(alphas: [u8; 4]) -> Vec<(u32, bool)> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.ply");
+        std::fs::write(&path, ply(alphas)).unwrap();
+        let asset = crate::assets::read(&path, &ReadOptions::default()).unwrap();
+        let [Geometry::Mesh(mesh)] = &asset.geometries[..] else { panic!("one mesh") };
+        let is_translucent = |part: &MeshPart| {
+            part.material.is_some_and(|number| asset.materials[number as usize].translucent)
+        };
+        mesh.parts.iter().map(|part| (part.triangles, is_translucent(part))).collect()
+    }
+
+    #[test]
+    fn alpha_of_vertices_makes_their_triangles_translucent() {
+        assert_eq!(parts([255, 128, 255, 255]), [(1, true), (1, false)]);
+        assert_eq!(parts([255, 255, 255, 0]), [(1, false), (1, true)]);
+        assert_eq!(parts([128; 4]), [(2, true)]);
+        let opaque = [[255; 4], [0; 4]].map(|alphas| parts(alphas).iter().any(|part| part.1));
+        assert_eq!(opaque, [false; 2]);
+    }
+
+    #[test]
+    fn parts_are_reserved_before_they_are_kept() {
+        let triangle = Mesh {
+            colors: Some(vec![[1, 2, 3, 4], [1, 2, 3, 255], [0; 4]]),
+            triangles: vec![[0, 1, 2]],
+            ..Mesh::default()
+        };
+        let mut asset = Asset { geometries: vec![Geometry::Mesh(triangle)], ..Asset::default() };
+        let admission = Admission::new(&HostMemory::new(4));
+        let options = ReadOptions { admission, ..ReadOptions::default() };
+        let refused = from_vertex_colors(&mut asset, "a.ply", &options);
+        assert!(matches!(refused, Err(AssetError::Interrupted(_))));
+    }
+}

@@ -1,0 +1,226 @@
+//! Translucent surfaces, in the order of their depths.
+
+use glam::DVec3;
+use pointillist::math::View;
+use pointillist::plan::{Antialias, Lod, Pass, Reconstruct, Settings};
+use serde_json::{Value, json};
+
+use super::files::{Glb, Shape, picture};
+use super::stage::{Case, Frames, look};
+use super::verdict::Tolerance;
+
+/// A material of one colour and alpha; from both sides, so that whatever is nearest shows first.
+fn glass([r, g, b, alpha]: [f64; 4]) -> Value {
+    json!({ "alphaMode": "BLEND", "doubleSided": true,
+        "pbrMetallicRoughness": { "baseColorFactor": [r, g, b, alpha] } })
+}
+
+fn solid([r, g, b]: [f64; 3]) -> Value {
+    json!({ "doubleSided": true, "pbrMetallicRoughness": { "baseColorFactor": [r, g, b, 1] } })
+}
+
+/// A scene of shapes with their materials, in the order of the list.
+fn case(name: &str, parts: &[(Shape, Value)]) -> Case {
+    let mut glb = Glb::new();
+    for (shape, material) in parts {
+        let material = glb.material(material.clone());
+        let mesh = glb.mesh(shape, Some(material));
+        glb.node(mesh, json!({}));
+    }
+    let scene = json!({ "assets": { "m": { "file": "m.glb" } }, "nodes": [{ "asset": "m" }] });
+    Case::new(name, &[("m.glb", glb.finish())], &scene)
+}
+
+/// A pane of width and height 2 around a point, turned about the y axis.
+fn pane(centre: DVec3, degrees: f64) -> Shape {
+    let (sin, cos) = degrees.to_radians().sin_cos();
+    let (u, v) = (DVec3::new(2.0 * cos, 0.0, -2.0 * sin), DVec3::Y * 2.0);
+    Shape::quad(centre - 0.5 * (u + v), u, v, 1.0)
+}
+
+fn view() -> View {
+    look([0.4, 0.3, 4.0], [0.0; 3], 45.0)
+}
+
+fn differs(a: &Frames, b: &Frames) -> usize {
+    a.color.iter().zip(&b.color).filter(|(a, b)| a != b).count()
+}
+
+/// No order of whole panes is right for panes that cross; each pixel has its own.
+#[test]
+fn panes_that_cross() {
+    let panes =
+        [(20.0, [0.9, 0.1, 0.1, 0.5]), (80.0, [0.1, 0.8, 0.2, 0.4]), (140.0, [0.2, 0.2, 0.9, 0.7])];
+    let ball = (Shape::ball(24, 0.5), solid([0.8, 0.8, 0.6]));
+    let mut parts: Vec<(Shape, Value)> =
+        panes.map(|(degrees, color)| (pane(DVec3::ZERO, degrees), glass(color))).into();
+    parts.insert(1, ball);
+    let case = case("panes", &parts);
+    let frames = case.check(&view(), &Tolerance::default());
+    assert!(frames.ran(Pass::CompositeLayers));
+    // What files say first is not what is behind: the order of the parts changes no more than roundings.
+    parts.reverse();
+    let reversed = self::case("panes-reversed", &parts).check(&view(), &Tolerance::default());
+    let far = frames
+        .color
+        .iter()
+        .zip(&reversed.color)
+        .filter(|(a, b)| a.iter().zip(*b).any(|(a, b)| a.abs_diff(*b) > 1));
+    assert_eq!(far.count(), 0);
+}
+
+/// Small triangles, which single threads draw: balls within a ball, beside and in something opaque.
+#[test]
+fn balls_within_balls() {
+    let parts = [
+        (Shape::ball(40, 1.2), glass([0.7, 0.9, 1.0, 0.3])),
+        (Shape::ball(30, 0.8), glass([1.0, 0.6, 0.2, 0.5])),
+        (Shape::ball(20, 0.5).moved(DVec3::new(0.5, 0.2, 0.1)), solid([0.3, 0.6, 0.2])),
+    ];
+    let case = case("balls", &parts);
+    case.check(&view(), &Tolerance::default());
+    // From within the outermost ball, which then crosses the camera plane.
+    case.check(&look([0.1, 0.1, 1.0], [0.2, 0.0, 0.0], 70.0), &Tolerance::default());
+}
+
+/// Alpha of texels and of materials, multiplied.
+#[test]
+fn textures_with_alpha() {
+    let png = picture(16, 16, |x, y| {
+        [
+            (x * 16) as u8,
+            120,
+            (y * 16) as u8,
+            if (x / 4 + y / 4) % 2 == 0 { 0 } else { (x * 17) as u8 },
+        ]
+    });
+    let mut glb = Glb::new();
+    let texture = glb.texture(&png, json!({ "magFilter": 9729 }));
+    let mut material = glass([1.0, 0.9, 0.8, 0.8]);
+    material["pbrMetallicRoughness"]["baseColorTexture"] = json!({ "index": texture });
+    let material = glb.material(material);
+    for (z, degrees) in [(0.0, 15.0), (-0.6, -30.0)] {
+        let mesh = glb.mesh(&pane(DVec3::Z * z, degrees), Some(material));
+        glb.node(mesh, json!({}));
+    }
+    let wall = glb.material(solid([0.2, 0.3, 0.5]));
+    let wall = glb.mesh(&pane(DVec3::new(0.7, 0.0, -1.5), 0.0), Some(wall));
+    glb.node(wall, json!({}));
+    let scene = json!({ "assets": { "m": { "file": "m.glb" } }, "nodes": [{ "asset": "m" }] });
+    let case = Case::new("translucent-texture", &[("m.glb", glb.finish())], &scene);
+    case.check(&view(), &Tolerance::default());
+}
+
+/// Alpha of vertices, in files without materials.
+#[test]
+fn vertex_colors_with_alpha() {
+    let mut shape = Shape::ball(24, 1.0);
+    let colors = shape.positions.iter().map(|p| {
+        let alpha = ((p.y + 1.0) * 127.5).round() as u8;
+        [200, 90, ((p.x + 1.0) * 100.0) as u8, alpha]
+    });
+    shape.colors = colors.collect();
+    let scene = json!({ "assets": { "m": { "file": "m.ply" }, "b": { "file": "b.ply" } },
+        "nodes": [{ "asset": "m" }, { "asset": "b", "scale": 0.5, "translate": [0.4, 0, -0.2] }] });
+    let files = [("m.ply", shape.ply()), ("b.ply", Shape::ball(12, 1.0).ply())];
+    let frames = Case::new("vertex-alpha", &files, &scene).check(&view(), &Tolerance::default());
+    assert!(frames.ran(Pass::CompositeLayers));
+}
+
+/// Surfaces at one place are as many layers as there are, in the order of their numbers.
+#[test]
+fn panes_at_one_place() {
+    let colors = [[1.0, 0.0, 0.0, 0.5], [0.0, 1.0, 0.0, 0.5], [0.0, 0.0, 1.0, 0.5]];
+    let parts: Vec<(Shape, Value)> =
+        colors.map(|color| (pane(DVec3::ZERO, 0.0), glass(color))).into();
+    let case = case("same-place", &parts);
+    let first = case.draw(&view());
+    assert!(first.same_pixels(&case.draw(&view())));
+    assert_eq!(first.receipt.translucent.map(|drawn| drawn.deepest), Some(3));
+    case.check(&view(), &Tolerance::default());
+}
+
+/// Eight layers are kept. Further ones are left out, and the receipt says where that may be.
+#[test]
+fn more_layers_than_are_kept() {
+    let stack = |count: u32| -> Vec<(Shape, Value)> {
+        let pane = |i| {
+            let color = if i % 2 == 0 { [0.9, 0.2, 0.1, 0.2] } else { [0.1, 0.3, 0.9, 0.2] };
+            (pane(DVec3::Z * -0.2 * f64::from(i), 0.0), glass(color))
+        };
+        (0..count).rev().map(pane).collect()
+    };
+    let seven = case("seven", &stack(7)).check(&view(), &Tolerance::default());
+    let drawn = seven.receipt.translucent.unwrap();
+    assert_eq!((drawn.layers, drawn.deepest, drawn.pixels_of_all_layers), (8, 7, 0));
+    let few = case("eight", &stack(8)).check(&view(), &Tolerance::default());
+    let many = case("twelve", &stack(12)).draw(&view());
+    let drawn = many.receipt.translucent.unwrap();
+    assert!(drawn.deepest == 8 && drawn.pixels_of_all_layers > 1000, "{drawn:?}");
+    // What is nearest is right, whichever triangles came first.
+    assert!(differs(&many, &few) < few.color.len() / 4);
+}
+
+/// Parts of pixels are composited before they are averaged.
+#[test]
+fn antialiasing() {
+    let parts = [
+        (pane(DVec3::ZERO, 30.0), glass([0.9, 0.3, 0.2, 0.5])),
+        (pane(DVec3::ZERO, 120.0), glass([0.2, 0.4, 0.9, 0.5])),
+        (Shape::ball(16, 0.4), solid([0.9, 0.9, 0.9])),
+    ];
+    let case = case("ways", &parts);
+    let points = Settings::drawn_as(Reconstruct::Points);
+    let smooth = case.draw_with(&view(), Settings { antialias: Antialias::Parts4, ..points });
+    let sharp = case.draw_with(&view(), points);
+    let mean = |frames: &Frames| {
+        let sum: u64 = frames.color.iter().flatten().map(|&byte| u64::from(byte)).sum();
+        sum as f64 / frames.color.len() as f64
+    };
+    assert!((mean(&smooth) - mean(&sharp)).abs() < 1.5, "{} {}", mean(&smooth), mean(&sharp));
+    assert!(differs(&smooth, &sharp) < sharp.color.len() / 5);
+}
+
+/// Point trees keep translucent triangles, at any error.
+#[test]
+fn point_trees_keep_what_shows_through() {
+    let parts = [
+        (Shape::ball(60, 1.2), glass([0.7, 0.9, 1.0, 0.4])),
+        (Shape::ball(60, 0.6), solid([0.9, 0.5, 0.2])),
+    ];
+    let case = case("glass-tree", &parts);
+    let settings =
+        Settings { lod: Lod::Spt, reconstruct: Reconstruct::Splats, ..Settings::default() };
+    let far = look([4.0, 3.0, 30.0], [0.0; 3], 8.0);
+    let full = case.draw_wide(&far, Settings::default());
+    let tree = case.draw_wide(&far, settings);
+    assert!(tree.ran(Pass::CompositeLayers) && tree.ran(Pass::ProjectSplats));
+    let close = full
+        .color
+        .iter()
+        .zip(&tree.color)
+        .filter(|(a, b)| a.iter().zip(*b).all(|(a, b)| a.abs_diff(*b) < 24));
+    let (close, all) = (close.count(), full.color.len());
+    assert!(close * 100 > all * 97, "{close} of {all}");
+}
+
+/// What cannot be combined is drawn otherwise, and the receipt says why.
+#[test]
+fn methods_without_depths_are_replaced() {
+    let mut glb = Glb::new();
+    let material = glb.material(glass([0.9, 0.3, 0.2, 0.5]));
+    let mesh = glb.mesh(&pane(DVec3::Z * 0.5, 0.0), Some(material));
+    glb.node(mesh, json!({}));
+    let cloud = Shape::cloud(2000, [-1.0, -1.0, -0.3], [1.0, 1.0, 0.3], 5);
+    let scene = json!({
+        "assets": { "m": { "file": "m.glb" }, "c": { "file": "c.ply" } },
+        "nodes": [{ "asset": "m" }, { "asset": "c" }]
+    });
+    let files = [("m.glb", glb.finish()), ("c.ply", cloud.ply())];
+    let case = Case::new("glass-and-points", &files, &scene);
+    for method in [Reconstruct::Fuzzy, Reconstruct::PullPush] {
+        let receipt = case.draw_wide(&view(), Settings::drawn_as(method)).receipt;
+        assert!(receipt.settings.instead_because.is_some(), "{method:?}");
+        assert!(receipt.translucent.is_some(), "{method:?}");
+    }
+}
