@@ -106,6 +106,7 @@ pub fn read(path: &Path, options: &ReadOptions) -> Result<Asset, AssetError> {
     if matches!(format, Format::Ply | Format::Off | Format::Vtk | Format::Vtp) {
         translucent::from_vertex_colors(&mut asset, &name, options)?;
     }
+    translucent::drop_without_alpha(&mut asset);
     asset.warnings = condensed(asset.warnings.drain(..).map(|text| ("", text)));
     options.progress.report(1.0);
     Ok(asset)

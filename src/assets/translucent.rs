@@ -1,6 +1,36 @@
-//! Translucent triangles of files whose formats have no materials: those with a vertex colour whose alpha is below 1.
+//! What is translucent, beyond what files say: triangles of formats without materials, by the alpha of their vertices. Materials
+//! whose alpha is 1 everywhere are not.
 
-use super::{Asset, AssetError, Geometry, Material, Mesh, MeshPart, ReadOptions};
+use super::{Asset, AssetError, Geometry, Material, Mesh, MeshPart, ReadOptions, texture};
+
+/// Makes translucent materials opaque where nothing that they are made of lets light through. Many exporters call all materials
+/// translucent, and opaque surfaces take less time and have levels of detail.
+pub(super) fn drop_without_alpha(asset: &mut Asset) {
+    let Asset { geometries, materials, textures, .. } = asset;
+    if !materials.iter().any(|material| material.translucent) {
+        return;
+    }
+    let mut by_vertices = vec![false; materials.len()];
+    for geometry in geometries {
+        let Geometry::Mesh(Mesh { colors: Some(colors), parts, .. }) = geometry else { continue };
+        if colors.iter().any(|color| color[3] < 255) {
+            for number in parts.iter().filter_map(|part| part.material) {
+                if let Some(own) = by_vertices.get_mut(number as usize) {
+                    *own = true;
+                }
+            }
+        }
+    }
+    let materials = materials.iter_mut().zip(by_vertices);
+    for (material, by_vertices) in materials.filter(|(material, _)| material.translucent) {
+        let texture = material.base_texture.and_then(|number| textures.get(number as usize));
+        let has_alpha =
+            by_vertices || material.base_color[3] < 1.0 || texture.is_some_and(texture::has_alpha);
+        if !has_alpha {
+            (material.translucent, material.alpha_cutoff) = (false, None);
+        }
+    }
+}
 
 /// Gives such triangles a translucent material. Where every vertex has alpha 0, exporters mean that there is none.
 ///
@@ -81,6 +111,32 @@ mod tests {
         assert_eq!(parts([128; 4]), [(2, true)]);
         let opaque = [[255; 4], [0; 4]].map(|alphas| parts(alphas).iter().any(|part| part.1));
         assert_eq!(opaque, [false; 2]);
+    }
+
+    #[test]
+    fn materials_without_alpha_are_opaque() {
+        let glass = |alpha| Material {
+            base_color: [1.0, 1.0, 1.0, alpha],
+            translucent: true,
+            ..Material::default()
+        };
+        let mesh = |number, alpha| {
+            Geometry::Mesh(Mesh {
+                colors: Some(vec![[9, 9, 9, alpha]; 3]),
+                triangles: vec![[0, 1, 2]],
+                parts: vec![MeshPart { triangles: 1, material: Some(number) }],
+                ..Mesh::default()
+            })
+        };
+        let mut asset = Asset {
+            geometries: vec![mesh(0, 255), mesh(1, 255), mesh(2, 254)],
+            materials: vec![glass(1.0), glass(0.5), glass(1.0)],
+            ..Asset::default()
+        };
+        drop_without_alpha(&mut asset);
+        let found: Vec<bool> =
+            asset.materials.iter().map(|material| material.translucent).collect();
+        assert_eq!(found, [false, true, true]);
     }
 
     #[test]
