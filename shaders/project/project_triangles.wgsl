@@ -27,10 +27,17 @@ fn bias(edge: vec2<i32>) -> i32 {
 
 fn list_triangle(id: u32, bounds: ImageBounds) {
     let last = vec2<f32>(frame.size_px) - vec2<f32>(1.0);
+    let rows = drawn_rows();
     let low = vec2<u32>(clamp(bounds.least - vec2<f32>(1.0), vec2<f32>(0.0), last));
     let high = vec2<u32>(clamp(bounds.most + vec2<f32>(1.0), vec2<f32>(0.0), last));
-    list_large(id, low, high);
-    if COUNTS {
+    let first = max(low.y, rows.x);
+    let behind = min(high.y + 1u, rows.y);
+    if first >= behind {
+        return;
+    }
+    list_large(id, vec2<u32>(low.x, first), vec2<u32>(high.x, behind - 1u));
+    // A triangle counts in the window where it begins.
+    if COUNTS && draws_pixel(frame.first_pixel + low.y * frame.size_px.x + low.x) {
         atomicAdd(&stats[frame.view].triangles_rasterised, 1u);
     }
 }
@@ -58,8 +65,9 @@ fn triangle(slot_index: u32, at: Placed, chunk: Chunk, one_sided: f32, index: u3
     // First and last pixel whose centre the box may contain.
     let snapped_least = min(pa, min(pb, pc));
     let snapped_most = max(pa, max(pb, pc));
-    let low = max((snapped_least + vec2<i32>(127)) >> vec2<u32>(8u), vec2<i32>(0));
-    let high = min((snapped_most - vec2<i32>(128)) >> vec2<u32>(8u), vec2<i32>(frame.size_px) - vec2<i32>(1));
+    let rows = vec2<i32>(drawn_rows());
+    let low = max((snapped_least + vec2<i32>(127)) >> vec2<u32>(8u), vec2<i32>(0, rows.x));
+    let high = min((snapped_most - vec2<i32>(128)) >> vec2<u32>(8u), vec2<i32>(i32(frame.size_px.x), rows.y) - vec2<i32>(1));
     let box = snapped_most - snapped_least;
     let holds = all(high >= low);
     let longest = u32(frame.small_triangle_px) + 1u;

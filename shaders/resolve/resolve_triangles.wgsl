@@ -180,7 +180,6 @@ fn resolve_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_inv
         }
     }
     if resolved != 0u {
-        note_layer();
-        atomicAdd(&stats[frame.view].pixels_of_triangles, resolved);
+        note_triangles(resolved);
     }
 }

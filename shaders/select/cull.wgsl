@@ -15,6 +15,8 @@
 
 // Occlusion culling is on.
 override HIDES: bool = false;
+// Translucent surfaces are laid over the image, and hide nothing.
+override COMPOSITES: bool = false;
 
 const NOT_VISIBLE: u32 = 0xffffffffu;
 const NO_INSTANCE: u32 = 0xffffffffu;
@@ -96,7 +98,7 @@ fn cull(@builtin(global_invocation_id) invocation: vec3<u32>) {
                 let bounds = drawn_bounds(Box(box.centre, box.x, box.y, box.z, box.slack + reach), select(filter_px, LINE_FILTER_PX, chunk.kind == SEGMENTS));
                 least = min(least, bounds.least);
                 most = max(most, bounds.most);
-                if HIDES {
+                if HIDES && !(COMPOSITES && (chunk.flags & CHUNK_TRANSLUCENT) != 0u) {
                     note_depth(box, first + k);
                 }
             }

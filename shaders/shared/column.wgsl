@@ -29,7 +29,8 @@ fn column_begin(group: vec3<u32>, lane: u32) -> Column {
     var column: Column;
     column.at = vec2<u32>(corner.x + lane, max(corner.y, begin.y));
     column.pixel = frame.first_pixel + column.at.y * frame.size_px.x + column.at.x;
-    column.bottom = select(min(corner.y + TILE.y, end.y), 0u, corner.x >= end.x || corner.x + TILE.x <= begin.x || !words_are_left());
+    column.bottom = select(min(corner.y + TILE.y, end.y), 0u, corner.x >= end.x || corner.x + TILE.x <= begin.x
+        || !may_have_words(frame.first_pixel + corner.y * frame.size_px.x, frame.first_pixel + (corner.y + TILE.y) * frame.size_px.x));
     column.inside = column.at.x >= begin.x && column.at.x < end.x;
     return column;
 }

@@ -51,6 +51,8 @@ const CHUNK_ORIENTED: u32 = 1u;
 const CHUNK_CLOSED: u32 = 2u;
 // Nodes are strictly sorted by their parents' errors.
 const CHUNK_SORTED: u32 = 4u;
+// What lies behind shows through.
+const CHUNK_TRANSLUCENT: u32 = 8u;
 
 // Up to 1024 neighbouring elements of one kind.
 struct Chunk {
@@ -191,8 +193,9 @@ struct Stats {
     drawn_end: array<atomic<u32>, 2>,
     // Pixels that show no sample of their own, and that pull-push has filled.
     pixels_filled: atomic<u32>,
-    // Layers of translucent surfaces that some pixel shows, and pixels with as many as are kept: what lies behind those is left out.
-    layers: atomic<u32>,
+    // Most layers of translucent surfaces of a pixel, and pixels with as many as are kept, through which one sees: what lies behind is
+    // left out.
+    deepest: atomic<u32>,
     pixels_of_all_layers: atomic<u32>,
     // Segments of lines: in slots that were tested, left to walk_lines, and pixels that show one.
     segments_tested_lo: atomic<u32>,

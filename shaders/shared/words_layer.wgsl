@@ -13,12 +13,14 @@ fn high_word(pixel: u32) -> u32 {
     return fragments[place_in(window.layer, pixel)].y;
 }
 
-// No pixel has a fragment in this layer if none has one in the layer before.
-fn words_are_left() -> bool {
-    return atomicLoad(&stats[frame.view].layers) >= window.layer;
+// Whether any of these pixels may have a word: the pixel behind the last one is not among them. No pixel has a fragment in this layer if none
+// has one in the layer before.
+fn may_have_words(first: u32, behind: u32) -> bool {
+    let is_here = behind > window.first_pixel && first < window.first_pixel + window.pixels;
+    return is_here && atomicLoad(&stats[frame.view].deepest) >= window.layer;
 }
 
 // Notes that some pixel has a fragment in this layer.
-fn note_layer() {
-    atomicMax(&stats[frame.view].layers, window.layer + 1u);
+fn note_triangles(count: u32) {
+    atomicMax(&stats[frame.view].deepest, window.layer + 1u);
 }

@@ -8,9 +8,12 @@ fn high_word(pixel: u32) -> u32 {
     return visibility[pixel].y;
 }
 
-fn words_are_left() -> bool {
+// Whether any of these pixels may have a word: the pixel behind the last one is not among them.
+fn may_have_words(first: u32, behind: u32) -> bool {
     return true;
 }
 
-fn note_layer() {
+// Counts a thread's pixels that show a triangle.
+fn note_triangles(count: u32) {
+    atomicAdd(&stats[frame.view].pixels_of_triangles, count);
 }

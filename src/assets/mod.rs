@@ -272,8 +272,8 @@ pub struct Material {
     pub translucent: bool,
 }
 
-/// Least alpha of translucent fragments that are drawn; less changes no byte of an image.
-pub const LEAST_ALPHA: f32 = 1.0 / 512.0;
+/// Least alpha of translucent fragments: white with less over black stays black in eight bits.
+pub const LEAST_ALPHA: f32 = 1.0 / 8192.0;
 
 impl Default for Material {
     fn default() -> Self {

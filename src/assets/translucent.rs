@@ -1,7 +1,9 @@
 //! What is translucent, beyond what files say: triangles of formats without materials, by the alpha of their vertices. Materials
 //! whose alpha is 1 everywhere are not.
 
-use super::{Asset, AssetError, Geometry, Material, Mesh, MeshPart, ReadOptions, texture};
+use super::{
+    Asset, AssetError, Geometry, LEAST_ALPHA, Material, Mesh, MeshPart, ReadOptions, texture,
+};
 
 /// Makes translucent materials opaque where nothing that they are made of lets light through. Many exporters call all materials
 /// translucent, and opaque surfaces take less time and have levels of detail.
@@ -46,6 +48,7 @@ pub(super) fn from_vertex_colors(
     }
     for geometry in &mut asset.geometries {
         let Geometry::Mesh(mesh) = geometry else { continue };
+        options.admission.grow(name, mesh.triangles.len() as u64)?;
         let flags = flags(mesh);
         if !flags.contains(&true) {
             continue;
@@ -57,8 +60,12 @@ pub(super) fn from_vertex_colors(
             |run: &[bool]| MeshPart { triangles: run.len() as u32, material: run[0].then_some(0) };
         mesh.parts = runs().map(part).collect();
         if asset.materials.is_empty() {
-            let name = "translucent".to_owned();
-            asset.materials.push(Material { name, translucent: true, ..Material::default() });
+            asset.materials.push(Material {
+                name: "translucent".to_owned(),
+                translucent: true,
+                alpha_cutoff: Some(LEAST_ALPHA),
+                ..Material::default()
+            });
         }
     }
     Ok(())

@@ -141,7 +141,7 @@ fn receipt(state: &EngineState, drawn: &Drawn) -> Receipt {
         translucent: runs(Pass::CompositeLayers).then_some(TranslucentReceipt {
             order: TranslucentOrder::PixelDepth,
             layers: LAYERS,
-            deepest: drawn.stats.layers,
+            deepest: drawn.stats.deepest,
             pixels_of_all_layers: u64::from(drawn.stats.pixels_of_all_layers),
         }),
         holes_filled: runs(Pass::ResolvePulled).then_some(u64::from(drawn.stats.pixels_filled)),

@@ -301,8 +301,9 @@ impl Renderer {
         let period = self.gpu.timestamp_period_ns;
         let ns = |ticks: u64| period.map(|period| (ticks as f64 * f64::from(period)) as u64);
         let mut passes: Vec<(Pass, Option<u64>)> = Vec::new();
-        let (mut first, mut last) = (u64::MAX, 0);
+        let (mut first, mut last, mut is_whole) = (u64::MAX, 0, true);
         for span in spans {
+            is_whole &= span.span.is_some();
             let ticks = span.span.zip(stamps).and_then(|(span, stamps)| {
                 let begin = *stamps.get(span.begin as usize)?;
                 let end = *stamps.get(span.end as usize)?;
@@ -316,7 +317,8 @@ impl Renderer {
                 None => passes.push((span.pass, time)),
             }
         }
-        (passes, (last >= first).then(|| ns(last - first)).flatten())
+        // A frame of more passes than there are stamps has no time.
+        (passes, (is_whole && last >= first).then(|| ns(last - first)).flatten())
     }
 }
 

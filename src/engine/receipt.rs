@@ -61,7 +61,7 @@ pub struct Receipt {
     pub gpu_bytes: u64,
     /// Nearest and farthest distance in a 16-bit depth image, in scene units: what its values 65535 and 1 stand for.
     pub depth_range: Option<[f32; 2]>,
-    /// How translucent surfaces were drawn; `null` where none were.
+    /// How translucent surfaces were drawn; `null` where the scene has none, and for outputs other than color.
     pub translucent: Option<TranslucentReceipt>,
     /// Pixels that pull-push has filled; `null` where samples are drawn otherwise.
     pub holes_filled: Option<u64>,
@@ -212,7 +212,8 @@ pub struct TranslucentReceipt {
     pub layers: u32,
     /// Most surfaces of a pixel, of those that are kept.
     pub deepest: u32,
-    /// Pixels with as many surfaces as are kept, of which some may be missing. With antialiasing, parts of pixels.
+    /// Pixels with as many surfaces as are kept, through all of which one sees: further ones may be missing. With antialiasing, parts of
+    /// pixels.
     pub pixels_of_all_layers: u64,
 }
 

@@ -16,7 +16,7 @@ use super::viewpoint::{clip_region, pose};
 use super::{EngineError, FrameRequest};
 use crate::encode::{self, EncodeError, ImageFormat};
 use crate::math::View;
-use crate::passes::{LAYERS_BYTES, Levels, PATCH_BYTES, Slabs};
+use crate::passes::{Levels, PATCH_BYTES, SLABS_BYTES, Slabs};
 use crate::plan::auto::{self, Choice};
 use crate::plan::{
     AdapterFacts, ColorBy, Edl, Output, Reconstruct, Reconstruction, SceneFacts, Settings, Wait,
@@ -462,7 +462,7 @@ fn no_fuzzy(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str> {
     if !adapter.atomic_sums_64 {
         return Some("a single pass needs 64-bit atomics that add and exchange");
     }
-    (pixels * LAYERS_BYTES > adapter.max_binding_bytes)
+    (pixels * SLABS_BYTES > adapter.max_binding_bytes)
         .then_some("the adapter cannot bind what a single pass needs for so many pixels")
 }
 

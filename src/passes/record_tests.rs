@@ -10,8 +10,9 @@ use crate::passes::recorder::DISPATCH_ROW;
 use crate::passes::resolve::TILE;
 use crate::passes::scratch::{BLOCK_PX, BLOCK_WORDS, DEPTHS_BYTES, MOST_ENTRIES};
 use crate::passes::select::{compact, cull, place};
-use crate::passes::shaders::{Choices, composed};
+use crate::passes::shaders::{Choices, composed, source};
 use crate::passes::slabs::SLABS;
+use crate::passes::windows::LAYERS;
 use crate::plan::{Output, TURNS};
 use crate::residency::layout::*;
 use crate::residency::{GROUP, PART};
@@ -178,6 +179,7 @@ fn flags_and_outputs_have_the_same_numbers() {
         ("CHUNK_ORIENTED", CHUNK_ORIENTED),
         ("CHUNK_CLOSED", CHUNK_CLOSED),
         ("CHUNK_SORTED", CHUNK_SORTED),
+        ("CHUNK_TRANSLUCENT", CHUNK_TRANSLUCENT),
         ("OUTPUT_COLOR", output_number(Output::Color)),
         ("OUTPUT_DEPTH", output_number(Output::Depth)),
         ("OUTPUT_NORMAL", output_number(Output::Normal)),
@@ -214,4 +216,15 @@ fn views_fit_their_records() {
 fn lights_fit_their_records() {
     let resolve = module("resolve/resolve_triangles");
     assert_eq!(array_length(&resolve, "few_lights"), FEW_LIGHTS);
+}
+
+#[test]
+fn as_many_layers_are_kept_as_are_resolved() {
+    let choices = Choices { layers: true, ..Choices::default() };
+    let root = "resolve/resolve_triangles";
+    let resolve = parse(root, &composed(root, &choices).unwrap()).unwrap();
+    assert_eq!(scalar(&resolve, "LAYERS"), LAYERS);
+    let sinks = source("shared/sinks").unwrap();
+    assert_eq!(sinks.matches("rest = sink(").count() as u32, LAYERS);
+    assert!(sinks.contains(&format!("sink({}u, pixel", LAYERS - 1)));
 }

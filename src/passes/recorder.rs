@@ -10,7 +10,7 @@ use super::pipelines::{Constants, Pipelines};
 use super::scratch::Scratch;
 use super::shaders::{Choices, Portion, Visibility};
 use super::uniforms::GroupUniforms;
-use super::windows::{COVERED_BYTES, FRAGMENT_BYTES};
+use super::windows::{COVERED_BYTES, FRAGMENT_BYTES, LAYERS};
 use crate::bake::pack::{GeometryKind, PageKind};
 use crate::gpu::Gpu;
 use crate::gpu::bind::BindCache;
@@ -56,9 +56,8 @@ pub struct Recorder<'a, 'c> {
     pub segment: Segment,
     /// The level of the pyramid that the pass is recorded for, if it is for one; else 0.
     pub level: usize,
-    /// The window of the image that translucent surfaces are drawn in, and the layer that the pass looks at.
+    /// The window of the image that translucent surfaces are drawn in.
     pub window: usize,
-    pub layer: usize,
     pub spans: Vec<PassSpan>,
 }
 
@@ -121,7 +120,6 @@ impl<'a, 'c> Recorder<'a, 'c> {
             segment: None,
             level: 0,
             window: 0,
-            layer: 0,
             spans: Vec::new(),
         }
     }
@@ -260,12 +258,19 @@ impl<'a, 'c> Recorder<'a, 'c> {
         let gpu = self.context.gpu;
         let choices = Choices { subgroups: gpu.subgroups, ..choices };
         let pipeline = self.context.pipelines.compute(gpu, self.pass, choices, constants)?;
-        let binds: Vec<Binds> = segments
+        // Layer by layer, and in each through all segments.
+        let layers = if choices.layers { LAYERS as usize } else { 1 };
+        let launches: Vec<(usize, Segment)> = (0..layers)
+            .flat_map(|layer| segments.iter().map(move |&segment| (layer, segment)))
+            .collect();
+        let binds: Vec<Binds> = launches
             .iter()
-            .map(|&segment| self.bind(&pipeline.layouts, &pipeline.bindings, segment))
+            .map(|&(layer, segment)| {
+                self.bind(&pipeline.layouts, &pipeline.bindings, (segment, layer))
+            })
             .collect::<Result<_, _>>()?;
         let (mut recorded, span) = self.context.timer.compute(self.encoder, self.pass.name());
-        for (segment, binds) in segments.iter().zip(&binds) {
+        for ((_, segment), binds) in launches.iter().zip(&binds) {
             recorded.set_pipeline(&pipeline.pipeline);
             for (index, (group, offsets)) in binds.iter().enumerate() {
                 recorded.set_bind_group(index as u32, group.as_ref(), offsets);
@@ -339,7 +344,7 @@ impl<'a, 'c> Recorder<'a, 'c> {
         let constants = self.constants(Vec::new());
         let context = &mut *self.context;
         let pipeline = context.pipelines.raster(context.gpu, self.pass, choices, constants)?;
-        let binds = self.bind(&pipeline.layouts, &pipeline.bindings, self.segment)?;
+        let binds = self.bind(&pipeline.layouts, &pipeline.bindings, (self.segment, 0))?;
         let (width, height) = self.task.size();
         let context = &mut *self.context;
         let attachment = context.scratch.attachment(context.gpu, width, height);
@@ -366,7 +371,7 @@ impl<'a, 'c> Recorder<'a, 'c> {
         &self,
         layouts: &[wgpu::BindGroupLayout; GROUPS],
         bindings: &[Vec<BindingSlot>; GROUPS],
-        segment: Segment,
+        (segment, layer): (Segment, usize),
     ) -> Result<Binds, ShaderError> {
         let names = Names {
             scratch: self.context.scratch,
@@ -375,7 +380,7 @@ impl<'a, 'c> Recorder<'a, 'c> {
             uniforms: self.uniforms,
             segment,
             level: self.level,
-            window: (self.window, self.layer),
+            window: (self.window, layer),
         };
         let mut out = Vec::with_capacity(GROUPS);
         for (layout, slots) in layouts.iter().zip(bindings) {

@@ -71,7 +71,7 @@ pub const BACKGROUND_BYTES: u64 = 1 << 18;
 const MOST_BACKGROUNDS: usize = 32;
 
 /// Bytes that each pixel takes where splats are blended in a single pass: two words.
-pub const LAYERS_BYTES: u64 = 16;
+pub const SLABS_BYTES: u64 = 16;
 
 /// Bytes of a patch in each buffer of pull-push.
 pub const PATCH_BYTES: u64 = 8;
@@ -149,7 +149,7 @@ impl Scratch {
 
     /// Bytes of the largest buffer that one view needs.
     pub fn largest(scene: &ResidentScene, (width, height): (u32, u32), plan: &FramePlan) -> u64 {
-        let bytes = if plan.runs(Pass::ResolveFuzzy) { LAYERS_BYTES } else { 8 };
+        let bytes = if plan.runs(Pass::ResolveFuzzy) { SLABS_BYTES } else { 8 };
         let patches = match plan.runs(Pass::Pull) {
             true => Levels::of((width, height)).pixels() * PATCH_BYTES,
             false => 0,
@@ -185,7 +185,7 @@ impl Scratch {
             sums.reserve(gpu, pixels * 8);
         }
         if task.plan.runs(Pass::ResolveFuzzy) {
-            self.layers.reserve(gpu, pixels * LAYERS_BYTES);
+            self.layers.reserve(gpu, pixels * SLABS_BYTES);
         }
         if task.composites() {
             let pixels = pixels.min(task.window_pixels.into());

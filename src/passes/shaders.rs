@@ -147,6 +147,7 @@ fragments![
     "shared/visibility_depth",
     "shared/visibility_id",
     "shared/window",
+    "shared/sinks",
     "shared/visibility_layers_64",
     "shared/visibility_layers_depth",
     "shared/visibility_layers_id",

@@ -234,6 +234,14 @@ impl Facts<'_> {
         }
     }
 
+    /// Whether translucent surfaces are compared with the depths of blended splats, which surfaces that are kept have.
+    fn composites_over_splats(&self) -> bool {
+        let frame = self.frame;
+        let blends =
+            self.scene.has(GeometryKind::Samples) && frame.reconstruction.weighted().is_some();
+        blends && self.scene.translucent && frame.output == Output::Color
+    }
+
     /// Whether light is computed for each pixel. Splats that are lit one by one need none after they are blended.
     fn lights_pixels(&self) -> bool {
         let reconstruction = &self.frame.reconstruction;

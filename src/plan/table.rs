@@ -204,7 +204,8 @@ reasons! {
     NOT_PULLED: "gaps between samples are not filled by pull-push",
         |f| f.frame.reconstruction.pull_push().is_none();
     BLENDED: "splats are blended", |f| f.scene.has(GeometryKind::Samples) && f.frame.reconstruction.blends();
-    NO_EFFECT: "no effect reads neighbouring pixels", |f| f.frame.edl.is_none();
+    NO_EFFECT: "no effect reads neighbouring pixels, and no translucent surface the depths of blended splats",
+        |f| f.frame.edl.is_none() && !f.composites_over_splats();
     NOT_COLOR: "the output is not color", |f| f.frame.output != super::Output::Color;
     NOT_AVERAGED: "pixels have one part", |f| !f.frame.is_averaged;
     OPAQUE_SCENE: "the scene has no translucent triangles", |f| !f.scene.translucent;

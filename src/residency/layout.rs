@@ -63,6 +63,7 @@ pub struct GpuChunk {
 pub const CHUNK_ORIENTED: u32 = 1;
 pub const CHUNK_CLOSED: u32 = 2;
 pub const CHUNK_SORTED: u32 = 4;
+pub const CHUNK_TRANSLUCENT: u32 = 8;
 
 /// `InstanceGroup` of `shared/scene.wgsl`.
 #[repr(C)]
@@ -165,7 +166,7 @@ pub struct GpuStats {
     /// Bounds of all that may be drawn, see `shared/scene.wgsl`.
     pub drawn_bounds: [u32; 4],
     pub pixels_filled: u32,
-    pub layers: u32,
+    pub deepest: u32,
     pub pixels_of_all_layers: u32,
     pub segments_tested: [u32; 2],
     pub segments_listed: u32,

@@ -112,6 +112,9 @@ fn gpu_chunk(
     if geometry.list_first(chunk).is_some_and(|first| chunk.first - first < SORTED) {
         flags |= CHUNK_SORTED;
     }
+    if chunk.translucent {
+        flags |= CHUNK_TRANSLUCENT;
+    }
     GpuChunk {
         origin: chunk.origin.to_array(),
         first: piece.start + (chunk.first - origin.first),

@@ -111,6 +111,7 @@ fn windows_change_no_pixel() {
         same(&found.bytes, &all.bytes, &format!("{request:?}"));
         let deepest = [&found, &all].map(|frame| frame.receipt.translucent.unwrap().deepest);
         assert_eq!(deepest[0], deepest[1], "{request:?}");
+        assert_eq!(counts(&found.receipt), counts(&all.receipt), "{request:?}");
         most = most.max(deepest[0]);
     }
     assert!(most >= 2, "{most} layers");

@@ -100,7 +100,7 @@ impl<'a> Materials<'a> {
             Checked::Valid(AlphaMode::Mask) => {
                 Some(source.alpha_cutoff.map_or(0.5, |cutoff| cutoff.0).max(0.0))
             }
-            Checked::Valid(AlphaMode::Blend) if texture.is_some() => Some(LEAST_ALPHA),
+            Checked::Valid(AlphaMode::Blend) => Some(LEAST_ALPHA),
             _ => None,
         };
         let unlit = source.extensions.as_ref().is_some_and(|ext| ext.unlit.is_some());

@@ -200,7 +200,10 @@ impl Definition {
             shininess: if shines { self.exponent.min(1000.0) } else { 1.0 },
             unlit: self.model == Some(0),
             // An alpha channel alone is that of a cut-out: leaves, fences.
-            alpha_cutoff: lets_through.then_some(if alpha < 1.0 { LEAST_ALPHA } else { 0.5 }),
+            alpha_cutoff: match alpha < 1.0 {
+                true => Some(LEAST_ALPHA),
+                false => lets_through.then_some(0.5),
+            },
             translucent: alpha < 1.0,
             ..Material::default()
         }

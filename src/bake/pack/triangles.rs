@@ -73,13 +73,15 @@ fn pack_triangles(
         let own = material.checked_sub(1).and_then(|material| looks.get(material as usize));
         own.is_some_and(|material| material.translucent)
     };
-    let longest = sides.map_or(0.0, |sides| sides.iter().copied().fold(0.0, f32::max));
+    let known = sides.unwrap_or_default().iter().zip(&materials);
+    let opaque = known.filter(|(_, material)| !is_translucent(**material));
+    let longest = opaque.map(|(&side, _)| side).fold(0.0, f32::max);
     // Translucent triangles come first, which have pages of their own, and then the longest ones.
     let band = |index: usize| {
         let side = sides.map_or(0.0, |sides| sides[index]);
         match side {
             _ if is_translucent(materials[index]) => 0,
-            side if side > 0.0 => 1 + (2.0 * (longest / side).log2()) as u32,
+            side if side > 0.0 => ((2.0 * (longest / side).log2()) as u32).saturating_add(1),
             _ => u32::MAX,
         }
     };

@@ -118,7 +118,12 @@ impl<'a> Colors<'a> {
                     .map(|corner| uvs.get(corner as usize).copied().unwrap_or_default().as_dvec2());
                 color *= pyramid.average(face, uv, at, radius);
             }
-            if material.alpha_cutoff.is_some_and(|cutoff| color.w < cutoff) {
+            // Samples and lines are opaque: what is mostly clear in a texture has none.
+            let cutoff = match (material.translucent, material.base_texture) {
+                (false, _) => material.alpha_cutoff,
+                (true, texture) => texture.map(|_| 0.5 * material.base_color[3]),
+            };
+            if cutoff.is_some_and(|cutoff| color.w < cutoff) {
                 return None;
             }
         }

@@ -4,7 +4,7 @@ use glam::{DVec3, Vec2, Vec3};
 use sha2::{Digest, Sha256};
 
 use super::*;
-use crate::assets::{Clip, ClipLine, Kernel, Mesh, Polylines};
+use crate::assets::{Clip, ClipLine, Kernel, Material, Mesh, MeshPart, Polylines};
 use crate::bake::hybrid::hybrid_mesh;
 use crate::bake::kernels::circle;
 use crate::bake::line_levels::line_levels;
@@ -76,17 +76,21 @@ fn mesh() -> (PackedSamples, PackedMesh) {
         let at = i / (SIDE - 1) * SIDE + i % (SIDE - 1);
         [[at, at + 1, at + SIDE + 1], [at, at + SIDE + 1, at + SIDE]]
     };
+    // The last row is translucent.
+    let glass = [Material { translucent: true, ..Material::default() }];
+    let part = |rows: u32, material| MeshPart { triangles: 2 * rows * (SIDE - 1), material };
     let mesh = Mesh {
         triangles: (0..(SIDE - 1) * (SIDE - 1)).flat_map(quad).collect(),
+        parts: vec![part(SIDE - 2, None), part(1, Some(0))],
         colors: Some(colors(positions.len())),
         normals: Some(normals),
         positions,
         ..Mesh::default()
     };
-    let hybrid = hybrid_mesh(&mesh, &[], &[], 1 << 20).unwrap();
+    let hybrid = hybrid_mesh(&mesh, &glass, &[], 1 << 20).unwrap();
     let bounds = Bounds::of(mesh.positions.iter().copied());
     let tree = build_tree_within(&hybrid.samples, Some(&hybrid.stands), bounds, false).unwrap();
-    let triangles = pack_hybrid(&mesh, &[], tree.grid, &hybrid.sides).unwrap();
+    let triangles = pack_hybrid(&mesh, &glass, tree.grid, &hybrid.sides).unwrap();
     (tree, triangles)
 }
 
@@ -111,8 +115,7 @@ fn lines() -> PackedLines {
 fn add_chunks(hash: &mut Sha256, grid: &Grid, chunks: &[PackedChunk]) {
     hash.update(format!("{grid:?}"));
     for chunk in chunks {
-        // A later field, which all chunks of a tree but those of translucent triangles have in common.
-        hash.update(format!("{chunk:?}").replace(" translucent: false,", ""));
+        hash.update(format!("{chunk:?}"));
     }
 }
 

@@ -3,20 +3,14 @@
 use super::{choices, constants, tiles};
 use crate::bake::pack::GeometryKind;
 use crate::gpu::shader::ShaderError;
-use crate::passes::LAYERS;
 use crate::passes::recorder::{Call, Recorder};
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let segments = recorder.segments(&[GeometryKind::Triangles]);
-    for layer in 0..if recorder.stage.is_windowed() { LAYERS } else { 1 } {
-        recorder.layer = layer as usize;
-        recorder.compute(Call {
-            choices: choices(recorder),
-            constants: constants(recorder),
-            segments: &segments,
-            launch: tiles(recorder),
-        })?;
-    }
-    recorder.layer = 0;
-    Ok(())
+    recorder.compute(Call {
+        choices: choices(recorder),
+        constants: constants(recorder),
+        segments: &segments,
+        launch: tiles(recorder),
+    })
 }

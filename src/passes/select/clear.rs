@@ -4,7 +4,7 @@
 use crate::gpu::shader::ShaderError;
 use crate::passes::Levels;
 use crate::passes::recorder::Recorder;
-use crate::passes::scratch::{BACKGROUND_BYTES, LAYERS_BYTES, PATCH_BYTES};
+use crate::passes::scratch::{BACKGROUND_BYTES, PATCH_BYTES, SLABS_BYTES};
 use crate::plan::Pass;
 use crate::residency::layout::GpuStats;
 
@@ -24,7 +24,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     ];
     buffers.extend(scratch.sums[..task.sums()].iter().map(|sums| (sums, Some(pixels * 8))));
     if task.plan.runs(Pass::FuzzySplats) {
-        buffers.push((&scratch.layers, Some(pixels * LAYERS_BYTES)));
+        buffers.push((&scratch.layers, Some(pixels * SLABS_BYTES)));
     }
     if task.plan.runs(Pass::Pull) {
         // Pixels without a sample have no patch; coarser levels are written whole.

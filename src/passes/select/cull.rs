@@ -9,6 +9,9 @@ pub const ENTRIES: u32 = 32 * 32;
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let groups = recorder.entries().div_ceil(ENTRIES);
     let mut constants = vec![recorder.hides()];
+    if recorder.task.composites() {
+        constants.push(("COMPOSITES", 1));
+    }
     if recorder.scene.has_trees() {
         constants.extend(recorder.tree_constants());
     }
