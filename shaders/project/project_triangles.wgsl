@@ -14,6 +14,28 @@
 
 const COUNTS: bool = FIRST_HALF;
 
+// Which slots are drawn, of pages that have both: all, opaque ones, or translucent ones.
+override SORT: u32 = 0u;
+
+const SORT_OPAQUE: u32 = 1u;
+const SORT_TRANSLUCENT: u32 = 2u;
+
+// Instances may have translucent colours of their own; what has no alpha at all is not there.
+fn is_of_sort(chunk: Chunk, over_plus_one: u32) -> bool {
+    if SORT == 0u {
+        return true;
+    }
+    var translucent = (chunk.flags & CHUNK_TRANSLUCENT) != 0u;
+    var is_clear = false;
+    if over_plus_one != 0u {
+        let over = materials[over_plus_one - 1u];
+        let alpha = select(1.0, over.base_color.a, (over.overrides & OVERRIDE_BASE_COLOR) != 0u);
+        translucent = translucent || alpha < 1.0;
+        is_clear = alpha <= 0.0;
+    }
+    return translucent == (SORT == SORT_TRANSLUCENT) && !is_clear;
+}
+
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
 @group(1) @binding(3) var<storage, read> instances: array<Instance>;
 @group(1) @binding(4) var<storage, read> materials: array<Material>;
@@ -139,6 +161,9 @@ fn project_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_inv
     let slot = slots[frame.first_slot + turn.slot];
     let chunk = chunks[slot.chunk];
     let instance = slot.instance;
+    if !is_of_sort(chunk, instances[instance].material) {
+        return;
+    }
     let at = placed[frame.first_instance + instance];
     let material = effective_material(materials[chunk.material], instances[instance].material);
     var one_sided = 0.0;

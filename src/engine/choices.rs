@@ -7,7 +7,7 @@ use crate::bake::pack::GeometryKind;
 use crate::math::View;
 use crate::plan::auto::{self, Choice};
 use crate::plan::detail::{Detail, DetailGrounds, choose as choose_detail};
-use crate::plan::{Lod, Settings};
+use crate::plan::{Lod, Output, Settings};
 
 /// Decides how a frame with `lod=spt` is drawn. Returns the request as it is drawn, and why at full detail where the request does not ask
 /// for that.
@@ -21,7 +21,15 @@ pub fn with_detail(
     let settings = &request.settings;
     // Levels are those of nodes.
     let is_open = settings.draws_trees() && !settings.shows_levels();
-    if !is_open || !state.config.may_draw_in_full {
+    if !is_open {
+        return (drawn, None);
+    }
+    if loaded.facts.translucent_nodes && request.output == Output::Color {
+        // The asset's tree has opaque samples.
+        drawn.settings.lod = Lod::Full;
+        return (drawn, Some("nodes have translucent colours, which point trees lack".to_owned()));
+    }
+    if !state.config.may_draw_in_full {
         return (drawn, None);
     }
     let counts = loaded.facts.counts;

@@ -198,6 +198,7 @@ const SPARSE_LINES: f64 = 0.25;
 fn facts(model: &SceneModel, bounds: &Bounds) -> SceneFacts {
     let counts = model.counts();
     let size = if bounds.is_empty() { DVec3::ZERO } else { bounds.max - bounds.min };
+    let translucent_nodes = model.has_translucent_overrides();
     SceneFacts {
         counts,
         has_normals: model.assets.iter().any(|asset| asset.has_normals),
@@ -205,7 +206,8 @@ fn facts(model: &SceneModel, bounds: &Bounds) -> SceneFacts {
         sparse_lines: counts.segments > 0
             && model.line_area() < SPARSE_LINES * size.max_element().powi(2),
         trees: false,
-        translucent: model.assets.iter().any(|asset| asset.has_translucent()),
+        translucent: translucent_nodes || model.assets.iter().any(|asset| asset.has_translucent()),
+        translucent_nodes,
     }
 }
 

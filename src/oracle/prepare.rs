@@ -6,6 +6,7 @@ use glam::{DMat3, DVec3};
 
 use crate::assets::{Filter, Geometry, Material, Mesh, Texture};
 use crate::math::View;
+use crate::scene::MaterialSpec;
 
 use super::texture::{self, Pyramid};
 use super::visibility::Hit;
@@ -65,12 +66,18 @@ impl<'a> Prepared<'a> {
     pub fn is_translucent(&self, hit: &Hit) -> bool {
         let item = &self.items[hit.item as usize];
         let Geometry::Mesh(mesh) = item.item.geometry else { return false };
-        item.material(mesh, hit.index).is_some_and(|material| material.translucent)
+        let over = item.item.override_material;
+        over.is_some_and(MaterialSpec::is_translucent)
+            || item.material(mesh, hit.index).is_some_and(|material| material.translucent)
     }
 
     /// Whether anything is translucent.
     pub fn has_translucent(&self) -> bool {
-        self.items.iter().any(|item| item.item.materials.iter().any(|own| own.translucent))
+        self.items.iter().any(|item| {
+            let over = item.item.override_material;
+            over.is_some_and(MaterialSpec::is_translucent)
+                || item.item.materials.iter().any(|own| own.translucent)
+        })
     }
 
     pub fn instance(&self, hit: &Hit) -> u32 {

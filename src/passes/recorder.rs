@@ -170,9 +170,11 @@ impl<'a, 'c> Recorder<'a, 'c> {
     /// The scene's segments of some kinds of geometry that the stage draws. Where translucent surfaces are laid over the image, no other
     /// stage draws them.
     pub fn segments(&self, kinds: &[GeometryKind]) -> Vec<Segment> {
-        let is_drawn = |page: PageKind| {
-            !self.task.composites() || page.translucent == self.stage.is_windowed()
-        };
+        let (composites, windowed) = (self.task.composites(), self.stage.is_windowed());
+        // Instances that are translucent beside opaque ones stand on pages of both.
+        let overrides = self.scene.looks.translucent_overrides;
+        let is_drawn =
+            |page: PageKind| !composites || page.translucent == windowed || (windowed && overrides);
         (0..self.scene.pages.len())
             .filter(|&index| {
                 let page = self.scene.pages[index].kind;

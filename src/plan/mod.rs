@@ -38,6 +38,8 @@ pub struct SceneFacts {
     pub trees: bool,
     /// Some of its triangles are translucent.
     pub translucent: bool,
+    /// Some nodes have translucent colours of their own.
+    pub translucent_nodes: bool,
 }
 
 impl SceneFacts {

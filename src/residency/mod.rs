@@ -104,6 +104,8 @@ pub struct Looks {
     pub textures: bool,
     /// Some instance overrides its asset's materials.
     pub overrides: bool,
+    /// Some instance of a mesh has a translucent colour of its own.
+    pub translucent_overrides: bool,
     pub specular: bool,
     pub unlit: bool,
     pub point_lights: bool,

@@ -193,6 +193,17 @@ impl SceneModel {
         self.instances.iter().map(area).sum()
     }
 
+    /// Whether some instance of a mesh has a translucent colour of its own.
+    pub fn has_translucent_overrides(&self) -> bool {
+        let is_translucent = |instance: &ModelInstance| {
+            let own = instance.material.and_then(|number| self.materials.get(number));
+            own.is_some_and(MaterialSpec::is_translucent)
+                && self.geometry(instance).kind() == GeometryKind::Triangles
+        };
+        self.materials.iter().any(MaterialSpec::is_translucent)
+            && self.instances.iter().any(is_translucent)
+    }
+
     /// Where its samples are and how wide.
     pub fn extent(&self) -> Extent {
         Extent { bounds: self.instances.bounds(), kernel: self.instances.mean_kernel() }

@@ -145,6 +145,7 @@ fn looks(model: &SceneModel) -> Looks {
     Looks {
         textures,
         overrides: model.instances.iter().any(|instance| instance.material.is_some()),
+        translucent_overrides: model.has_translucent_overrides(),
         specular: shines || polished,
         unlit,
         point_lights: model.lights.iter().any(|light| matches!(light, Light::Point { .. })),

@@ -153,6 +153,13 @@ pub struct MaterialSpec {
     pub double_sided: Option<bool>,
 }
 
+impl MaterialSpec {
+    /// Whether meshes of this colour let what is behind them show through.
+    pub fn is_translucent(&self) -> bool {
+        self.base_color.is_some_and(|color| color[3] < 1.0)
+    }
+}
+
 /// A light, colours linear and already multiplied by intensity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Light {

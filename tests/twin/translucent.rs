@@ -125,6 +125,44 @@ fn vertex_colors_with_alpha() {
     assert!(frames.ran(Pass::CompositeLayers));
 }
 
+/// Nodes with translucent colours beside opaque copies of one asset, which is a cut-out or plain.
+#[test]
+fn nodes_with_translucent_colors() {
+    let png = picture(8, 8, |x, y| [200, 180, 90, if (x + y) % 3 == 0 { 0 } else { 255 }]);
+    let mut glb = Glb::new();
+    let texture = glb.texture(&png, json!({}));
+    let mut leaf = solid([0.9, 0.9, 0.9]);
+    leaf["alphaMode"] = json!("MASK");
+    leaf["alphaCutoff"] = json!(0.25);
+    leaf["pbrMetallicRoughness"]["baseColorTexture"] = json!({ "index": texture });
+    let leaf = glb.material(leaf);
+    let mesh = glb.mesh(&pane(DVec3::ZERO, 20.0), Some(leaf));
+    glb.node(mesh, json!({}));
+    let scene = json!({
+        "assets": { "leaf": { "file": "leaf.glb" }, "ball": { "file": "ball.ply" } },
+        "materials": {
+            "glass": { "color": "#4080ff80" }, "mist": { "color": "#ffffff60" }, "gone": { "color": "#ff000000" }
+        },
+        "nodes": [
+            { "asset": "ball", "material": "glass" },
+            { "asset": "ball", "scale": 0.5, "translate": [0.2, 0.1, 0.0] },
+            { "asset": "ball", "scale": 0.4, "translate": [-0.9, 0.3, 0.4] },
+            { "asset": "ball", "scale": 1.6, "material": "gone" },
+            { "asset": "leaf", "material": "mist", "translate": [0.2, 0.0, 1.1] },
+            { "asset": "leaf", "translate": [0.0, 0.0, -1.2] },
+        ]
+    });
+    let files = [("leaf.glb", glb.finish()), ("ball.ply", Shape::ball(40, 0.9).ply())];
+    let case = Case::new("node-alpha", &files, &scene);
+    let frames = case.check(&view(), &Tolerance::default());
+    assert!(frames.ran(Pass::CompositeLayers) && frames.ran(Pass::ResolveTriangles));
+    assert!(frames.receipt.translucent.unwrap().deepest >= 2);
+    // Trees have opaque samples, so the frame has full detail.
+    let tree = Settings { lod: Lod::Spt, ..Settings::drawn_as(Reconstruct::Points) };
+    let tree = case.draw_wide(&view(), tree);
+    assert!(tree.receipt.settings.full_because.is_some() && tree.color == frames.color);
+}
+
 /// Surfaces at one place are as many layers as there are, in the order of their numbers.
 #[test]
 fn panes_at_one_place() {

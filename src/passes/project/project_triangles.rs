@@ -7,6 +7,10 @@ use crate::passes::shaders::Choices;
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     // Threads that cannot vote would keep account of more rounds than they take.
     let lanes = if recorder.context.gpu.subgroups { recorder.lanes() } else { ("LANES", 64) };
+    let mut constants = vec![lanes];
+    if recorder.task.composites() && recorder.scene.looks.translucent_overrides {
+        constants.push(("SORT", if recorder.stage.is_windowed() { 2 } else { 1 }));
+    }
     recorder.compute(Call {
         choices: Choices {
             visibility: recorder.visibility(),
@@ -14,7 +18,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
             portion: recorder.portion(),
             ..Choices::default()
         },
-        constants: vec![lanes],
+        constants,
         segments: &[recorder.segment],
         launch: recorder.launch(),
     })
