@@ -184,6 +184,12 @@ impl<'a, 'c> Recorder<'a, 'c> {
             .collect()
     }
 
+    /// Whether the pass asks triangles for their alpha at each pixel, which costs a CPU adapter several times the rest.
+    pub fn alpha_cut(&self) -> bool {
+        let is_opaque = self.task.composites() && !self.stage.is_windowed();
+        if is_opaque { self.scene.cut_outs } else { self.scene.alpha_cut }
+    }
+
     /// How often a stage is repeated.
     pub fn repeats(&self, stage: Stage) -> usize {
         if stage.is_windowed() { self.uniforms.windows.len() } else { 1 }

@@ -162,6 +162,8 @@ pub struct ResidentScene {
     pub sample_count: u64,
     /// Some material cuts holes by alpha.
     pub alpha_cut: bool,
+    /// Some opaque material has holes that alpha cuts.
+    pub cut_outs: bool,
     pub looks: Looks,
     asset_uids: Vec<u64>,
     materials: SceneMaterials,

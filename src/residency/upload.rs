@@ -135,9 +135,14 @@ fn gpu_chunk(
     }
 }
 
+/// The materials of all assets.
+fn materials_of(model: &SceneModel) -> impl Iterator<Item = &Material> + Clone {
+    model.assets.iter().flat_map(|asset| &asset.packed.materials)
+}
+
 fn looks(model: &SceneModel) -> Looks {
     let black = [0.0; 3];
-    let materials = model.assets.iter().flat_map(|asset| &asset.packed.materials);
+    let materials = materials_of(model);
     let textures = materials.clone().any(|material| material.base_texture.is_some());
     let unlit = materials.clone().any(|material| material.unlit);
     let shines = materials.clone().any(|material| material.specular != black);
@@ -346,9 +351,9 @@ impl Residency {
             instance_end: listed.instance_end,
             light_count: lights.len() as u32,
             sample_count: model.counts().samples,
-            alpha_cut: model.assets.iter().any(|asset| {
-                asset.packed.materials.iter().any(|material| material.alpha_cutoff.is_some())
-            }),
+            alpha_cut: materials_of(model).any(|material| material.alpha_cutoff.is_some()),
+            cut_outs: materials_of(model)
+                .any(|material| material.alpha_cutoff.is_some() && !material.translucent),
             looks: looks(model),
             asset_uids: model.assets.iter().map(|asset| asset.uid).collect(),
             materials,

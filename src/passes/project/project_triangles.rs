@@ -14,7 +14,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     recorder.compute(Call {
         choices: Choices {
             visibility: recorder.visibility(),
-            alpha_cut: recorder.scene.alpha_cut,
+            alpha_cut: recorder.alpha_cut(),
             portion: recorder.portion(),
             ..Choices::default()
         },

@@ -7,7 +7,7 @@ use crate::passes::shaders::Choices;
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     recorder.raster(Choices {
         visibility: recorder.visibility(),
-        alpha_cut: recorder.scene.alpha_cut,
+        alpha_cut: recorder.alpha_cut(),
         ..Choices::default()
     })
 }
