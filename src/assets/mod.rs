@@ -268,7 +268,7 @@ pub struct Material {
     pub unlit: bool,
     /// Fragments with less alpha are not there; `None` draws everything.
     pub alpha_cutoff: Option<f32>,
-    /// What lies behind shows through, by 1 − alpha.
+    /// Surfaces behind it show through, by 1 − alpha.
     pub translucent: bool,
 }
 

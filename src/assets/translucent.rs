@@ -1,5 +1,5 @@
-//! What is translucent, beyond what files say: triangles of formats without materials, by the alpha of their vertices. Materials
-//! whose alpha is 1 everywhere are not.
+//! Corrects which triangles are translucent. In formats without materials, the alpha of their vertices decides. Materials whose alpha is
+//! 1 everywhere are opaque.
 
 use super::{
     Asset, AssetError, Geometry, LEAST_ALPHA, Material, Mesh, MeshPart, ReadOptions, texture,

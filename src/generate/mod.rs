@@ -210,11 +210,7 @@ pub fn generate(
         }
         Kind::Tree => tree(parameters, progress)?,
         Kind::Grove => Generated::Scene(grove("grove", parameters, progress)?),
-        Kind::Glasshouse => Generated::Scene(glasshouse::glasshouse(
-            "glasshouse",
-            length(glasshouse::LENGTH)?,
-            seed,
-        )),
+        Kind::Glasshouse => Generated::Scene(greenhouse("glasshouse", parameters)?),
         Kind::Neurons => {
             let count = within("count", count, 20, 1, 1_000_000)? as usize;
             Generated::Lines(lines::neurons(count, length(1000.0)?, seed, progress))
@@ -257,8 +253,7 @@ pub fn generate_scene(
         return Ok(scenes::plaza(name, count, parameters.seed, progress));
     }
     if kind == Kind::Glasshouse {
-        let length = within("size", parameters.size, glasshouse::LENGTH, 1e-3, 1e6)?;
-        return Ok(glasshouse::glasshouse(name, length, parameters.seed));
+        return greenhouse(name, parameters);
     }
     if kind == Kind::CsgPart {
         return machined_part(name, parameters);
@@ -303,6 +298,11 @@ fn grove(
 ) -> Result<GeneratedScene, GenerateError> {
     let height = parameters.size.unwrap_or(8.0);
     Ok(scenes::grove(name, tree(parameters, progress)?, height))
+}
+
+fn greenhouse(name: &str, parameters: &Parameters) -> Result<GeneratedScene, GenerateError> {
+    let length = within("size", parameters.size, glasshouse::LENGTH, 1e-3, 1e6)?;
+    Ok(glasshouse::glasshouse(name, length, parameters.seed))
 }
 
 fn machined_part(name: &str, parameters: &Parameters) -> Result<GeneratedScene, GenerateError> {

@@ -19,7 +19,12 @@ const SPEC: MaterialSpec = MaterialSpec {
 
 /// A square of edge 2 around the origin, facing +z, with the material.
 fn square(material: Option<u32>) -> crate::assets::Mesh {
-    let mut square = quad(DVec3::ZERO, DVec3::X, DVec3::Y);
+    square_at(0.0, material)
+}
+
+/// As [`square`], around a point of the z axis.
+fn square_at(z: f64, material: Option<u32>) -> crate::assets::Mesh {
+    let mut square = quad(DVec3::Z * z, DVec3::X, DVec3::Y);
     square.parts = vec![MeshPart { triangles: 2, material }];
     square
 }
@@ -273,13 +278,6 @@ fn frames_do_not_depend_on_the_number_of_threads() {
     assert_eq!(threads(1), threads(5));
 }
 
-/// A square at a depth, with the alpha and grey of material `number`.
-fn sheet(z: f64, number: u32) -> crate::assets::Mesh {
-    let mut sheet = quad(DVec3::Z * z, DVec3::X, DVec3::Y);
-    sheet.parts = vec![MeshPart { triangles: 2, material: Some(number) }];
-    sheet
-}
-
 #[test]
 fn translucent_sheets_lie_over_what_is_behind_them() {
     let glass = |grey: f32, alpha| Material {
@@ -291,7 +289,7 @@ fn translucent_sheets_lie_over_what_is_behind_them() {
     let materials = [glass(1.0, 0.5), glass(0.2, 0.25), wall];
     // The file's order is neither that of depths nor its reverse; the last sheet is behind the wall.
     let sheets = [(0.0, 0), (-1.0, 2), (0.5, 1), (-2.0, 0)];
-    let sheets = sheets.map(|(z, number)| Geometry::Mesh(sheet(z, number)));
+    let sheets = sheets.map(|(z, number)| Geometry::Mesh(square_at(z, Some(number))));
     let items = |count: usize| {
         let item = |geometry| OracleItem { materials: &materials, ..item(geometry) };
         sheets[..count].iter().map(item).collect()

@@ -56,7 +56,7 @@ fn panes_that_cross() {
     let case = case("panes", &parts);
     let frames = case.check(&view(), &Tolerance::default());
     assert!(frames.ran(Pass::CompositeLayers));
-    // What files say first is not what is behind: the order of the parts changes no more than roundings.
+    // The order of the parts in the file changes no more than roundings.
     parts.reverse();
     let reversed = self::case("panes-reversed", &parts).check(&view(), &Tolerance::default());
     let far = frames
@@ -208,7 +208,7 @@ fn more_layers_than_are_kept() {
     assert_eq!(dense.receipt.translucent.unwrap().pixels_of_all_layers, 0);
 }
 
-/// What has no alpha at all is not there, and takes no layer.
+/// Surfaces whose alpha is 0 are not drawn, and take no layer.
 #[test]
 fn clear_shells_hide_nothing() {
     let shell = |i: u32| (pane(DVec3::Z * 0.1 * f64::from(i), 0.0), glass([0.5, 0.5, 0.5, 0.0]));
@@ -293,7 +293,7 @@ fn point_trees_keep_what_shows_through() {
     assert!(close * 100 > all * 97, "{close} of {all}");
 }
 
-/// What cannot be combined is drawn otherwise, and the receipt says why.
+/// Methods that leave no depths are replaced, and the receipt says why.
 #[test]
 fn methods_without_depths_are_replaced() {
     let mut glb = Glb::new();

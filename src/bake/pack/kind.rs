@@ -189,7 +189,7 @@ pub struct PageKind {
     pub value_words: u8,
     /// Lines are ribbons.
     pub ribbons: bool,
-    /// What lies behind triangles shows through.
+    /// Surfaces behind the triangles show through.
     pub translucent: bool,
 }
 
