@@ -41,12 +41,13 @@ const CLOSED: [Closed; 2] = [
 ];
 
 /// Ways to draw, those with a target first.
-fn ways() -> [(&'static str, Settings); 5] {
+fn ways() -> [(&'static str, Settings); 6] {
     let splats = Settings::drawn_as(Reconstruct::Splats);
     [
         ("splats, three passes", splats),
         ("fuzzy", Settings::drawn_as(Reconstruct::Fuzzy)),
         ("pull_push", Settings::drawn_as(Reconstruct::PullPush)),
+        ("painted", Settings::drawn_as(Reconstruct::Painted)),
         ("splats, three passes, lod=spt", Settings { lod: Lod::Spt, ..splats }),
         ("points", Settings::drawn_as(Reconstruct::Points)),
     ]

@@ -12,6 +12,7 @@ use std::path::Path;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use pointillist::gpu::shader::{self, Composed};
 use pointillist::passes::shaders::{self, Choices, Portion, SHARED, Visibility, roots};
+use pointillist::plan::{Kind, Pass};
 
 /// Capabilities that 64-bit atomics need.
 const WIDE: Capabilities =
@@ -136,7 +137,7 @@ fn every_composition_is_valid() {
     // - Lines: the same three ways; a thread each as for triangles, or from a list.
     // - Splats: depths as for samples, with and without clip lines; sums by clip lines, width, normals, lights and trees; a
     //   single pass by clip lines, lights, trees and scalar fields. Each of these with a thread per splat (all at once or in turns, with and
-    //   without votes), or from a list.
+    //   without votes), or from a list. Painted splats as a single pass, with a thread per splat, and counted with and without trees.
     // - Passes over pixels: with and without votes; samples with and without trees and scalar fields; outputs written at once or later;
     //   triangles also layer by layer.
     // - Level 0 of pull-push: with and without clip lines, trees and scalar fields.
@@ -145,13 +146,14 @@ fn every_composition_is_valid() {
     let over_pixels = 6 * 2 * 2 + 3 * 2 * 2 + 2 * 2 + 2 * 2;
     let level_0 = 2 * 2 * 2;
     let lists = 3 * 2;
-    let others = 13;
+    let others = 21;
     assert_eq!(
         checked,
         2 * 6
             + 12 * (2 * 2 + 2)
             + 3 * (2 * 2 + 1)
             + 5 * (depths + sums + single)
+            + 4 * (single + 2)
             + over_pixels
             + level_0
             + lists
@@ -177,7 +179,9 @@ fn entry_points_are_named_after_their_file() {
             let module = shader::parse(&name, &composed).unwrap();
             let names: Vec<&str> = module.entry_points.iter().map(|e| e.name.as_str()).collect();
             let file = root.rsplit('/').next().unwrap();
-            if file.starts_with("rasterise") {
+            let of_root = |pass: &&Pass| pass.shader() == root;
+            let pass = Pass::ALL.iter().find(of_root);
+            if pass.is_some_and(|pass| pass.kind() == Kind::Raster) {
                 assert_eq!(names, ["vertex", "fragment"], "{name}");
             } else {
                 assert_eq!(names, [file], "{name}");

@@ -2,6 +2,7 @@
 //!include shared/frame
 //!include shared/scene
 //!include shared/colour
+//!include shared/over
 //!include shared/window
 
 @group(0) @binding(1) var<storage, read> fragments: array<vec2<u32>>;
@@ -24,9 +25,5 @@ fn composite_layers(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invo
     if over.a <= 0.0 {
         return;
     }
-    let word = pixels[pixel];
-    let below = unpack4x8unorm(word).a * (1.0 - over.a);
-    let alpha = over.a + below;
-    let color = (over.rgb + below * linear_color(word)) / alpha;
-    pixels[pixel] = pack4x8unorm(vec4<f32>(srgb_from_linear(color), alpha));
+    pixels[pixel] = word_over(over, pixels[pixel]);
 }

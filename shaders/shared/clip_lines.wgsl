@@ -90,3 +90,11 @@ fn clip_keeps(clip: ClipForms, d: vec2<f32>) -> bool {
     let second = linear(clip.second, d) >= 0.0;
     return select(first && second, first || second, clip.either);
 }
+
+// As words, with offsets that count from another place.
+fn clip_record(clip: ClipForms, by: vec2<f32>) -> array<vec4<u32>, 2> {
+    return array<vec4<u32>, 2>(
+        vec4<u32>(bitcast<vec3<u32>>(vec3<f32>(linear(clip.first, by), clip.first.yz)), u32(clip.either)),
+        vec4<u32>(bitcast<vec3<u32>>(vec3<f32>(linear(clip.second, by), clip.second.yz)), 0u),
+    );
+}

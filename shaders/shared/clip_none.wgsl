@@ -25,3 +25,9 @@ fn kept_part(lines: vec2<u32>) -> KeptPart {
 fn clip_keeps(clip: ClipForms, d: vec2<f32>) -> bool {
     return true;
 }
+
+// As words: lines that keep everything.
+fn clip_record(clip: ClipForms, by: vec2<f32>) -> array<vec4<u32>, 2> {
+    let whole = vec4<u32>(bitcast<u32>(1.0), 0u, 0u, 0u);
+    return array<vec4<u32>, 2>(whole, whole);
+}

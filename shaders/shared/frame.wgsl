@@ -85,6 +85,8 @@ struct Frame {
     field_count: u32,
     // Least radius of lines in scene units, over the divisor.
     line_radius: f32,
+    // Painted splats that there is room for.
+    paint_capacity: u32,
     clips: array<ClipBox, 8>,
 }
 

@@ -202,10 +202,14 @@ struct Stats {
     segments_tested_hi: atomic<u32>,
     segments_listed: atomic<u32>,
     pixels_of_segments: atomic<u32>,
+    // Places for painted splats that the frame asked for; beyond the room that there is, none is drawn and the frame is not shown.
+    splats_wanted: atomic<u32>,
+    // Threads that have splats left to paint; a frame with any is not shown.
+    paint_cut: atomic<u32>,
 }
 
 // Words of a view's record, and places in it for those who only read.
-const STATS_WORDS: u32 = 29u;
+const STATS_WORDS: u32 = 31u;
 const STAT_LARGE_LONGEST: u32 = 8u;
 const STAT_LARGE_UNITS: u32 = 9u;
 const STAT_LARGE_WRAPPED: u32 = 10u;

@@ -25,6 +25,9 @@ override DISCS: bool = false;
 // Splats are blended, and so have a depth offset.
 override WEIGHTED: bool = true;
 
+// Splats are painted from back to front: however small, each covers its own share of the image.
+override PAINTED: bool = false;
+
 // Visibility is decided by disks without the filter, and by the pixel of a disk's centre: widened by the filter, everything would be a pixel
 // larger all around and hide its neighbours. All pixels that the filter reaches are blended. The file that includes this says with `NARROW`
 // whether disks are drawn without the filter.
@@ -45,6 +48,11 @@ const LARGE: u32 = 2u;
 // Weights do not fall below this share of the kernel's own: what many tiny splats add up to keeps its digits.
 // In a single pass, which covers disks as they are, half of it.
 const LEAST_AMPLITUDE: f32 = select(0.125, 0.5, NARROW);
+
+fn least_amplitude() -> f32 {
+    return select(LEAST_AMPLITUDE, 0.0, PAINTED);
+}
+
 const FARTHEST: f32 = 1e30;
 const GAP: f32 = 0.0000019073486;
 // Standard deviations below this many pixels are as good as none.
@@ -233,7 +241,7 @@ fn set_ellipse(splat: ptr<function, Splat>, e: Ellipse) {
     }
     let forms = ellipse_forms(e, lowpass);
     if PREFILTER {
-        (*splat).amplitude = max(sqrt(e.determinant / forms.determinant), LEAST_AMPLITUDE);
+        (*splat).amplitude = max(sqrt(e.determinant / forms.determinant), least_amplitude());
     }
     (*splat).s = forms.s;
     (*splat).t = forms.t;
@@ -373,7 +381,7 @@ fn make_splat(id: u32, p: vec3<f32>, u_in: vec3<f32>, v_in: vec3<f32>, lines: ve
             let wide = vec2<f32>(fma(l_u, slopes.x, l_uv * slopes.y), l_v * slopes.y);
             exact = ORTHOGRAPHIC || f * f * dot(wide, wide) < 1.0 - GAP;
             if exact {
-                splat.amplitude = max(1.0 / (l_u * l_v), LEAST_AMPLITUDE);
+                splat.amplitude = max(1.0 / (l_u * l_v), least_amplitude());
                 slopes = wide;
                 ju = l_u * ju + l_uv * jv;
                 jv = l_v * jv;

@@ -125,6 +125,7 @@ impl Reference {
             lights: &self.description.lights,
             background: self.description.background,
             splats: None,
+            painted: None,
             pull_push: None,
             discs: None,
             least_line_px: 0.0,

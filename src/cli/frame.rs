@@ -189,7 +189,7 @@ mod tests {
             (&["--color-by", "levels"][..], "--color-by: this setting applies to `lod=spt` only"),
             (
                 &["--error-mode", "split"],
-                "`--lod spt` and `--reconstruct splats`, `fuzzy` or `auto`",
+                "`--lod spt` and `--reconstruct splats`, `fuzzy`, `painted` or `auto`",
             ),
             (
                 &["--lod", "spt", "--reconstruct", "points", "--error-mode", "split"],

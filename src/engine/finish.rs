@@ -79,7 +79,7 @@ fn receipt(state: &EngineState, drawn: &Drawn) -> Receipt {
     let counts = resolved.model.counts();
     let drawing = job.drawing();
     let runs = |pass| drawing.plan.runs(pass);
-    let as_splats = runs(Pass::ProjectSplats) || runs(Pass::FuzzySplats);
+    let as_splats = runs(Pass::ProjectSplats) || runs(Pass::FuzzySplats) || runs(Pass::ListSplats);
     let samples = runs(Pass::ProjectSamples) || as_splats;
     let splats = |count: u32| as_splats.then_some(u64::from(count));
     let splats_used = UsedSplats::of(&drawing.reconstruction).filter(|_| counts.samples > 0);

@@ -36,7 +36,7 @@ pub struct FrameJob {
     alone: AtomicBool,
     /// Number of reductions of the splats' weights.
     halvings: AtomicU32,
-    /// Whether the first way to draw the frame overflowed at some pixel.
+    /// Whether the first way to draw the frame overflowed, at some pixel or in the list of painted splats.
     too_full: AtomicBool,
 }
 
@@ -181,14 +181,16 @@ impl FrameJob {
         let drawing = self.drawing().clone();
         let halvings = self.halvings.load(Ordering::Relaxed);
         let key = (self.frame.model.uid, drawing, halvings, output, width, height);
-        // Frames of point trees cannot share their lists of nodes, and picks read back something else.
-        let is_plain = !self.frame.model.trees && self.frame.picks.is_empty();
+        // Frames of point trees cannot share their lists of nodes, nor painted ones their lists of splats, and picks read back something
+        // else.
+        let has_lists = self.frame.model.trees || self.drawing().reconstruction.painted().is_some();
+        let is_plain = !has_lists && self.frame.picks.is_empty();
         (!self.is_alone() && is_plain).then_some(key)
     }
 
     /// Counts a redraw because a list was full; false after more redraws than growing lists explain.
     pub fn may_redraw(&self) -> bool {
-        self.redraws.fetch_add(1, Ordering::Relaxed) < 8
+        self.redraws.fetch_add(1, Ordering::Relaxed) < 12
     }
 
     /// Returns the current way to draw the frame.
@@ -222,6 +224,11 @@ impl FrameJob {
         let _ = self.halvings.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |halvings| {
             Some((halvings + 5).min(15))
         });
+    }
+
+    /// Draws the frame in three passes from now on, if its way of drawing has another for that.
+    pub fn take_three_passes(&self) {
+        self.too_full.store(true, Ordering::Relaxed);
     }
 
     /// Draws the frame alone from now on, in no shared dispatch.

@@ -65,6 +65,8 @@ enum Room {
     Made,
     /// They are for each of its frames by itself.
     MadeIfAlone,
+    /// They cannot be for painted splats, which are blended in three passes then.
+    MadeInThreePasses,
     /// They cannot be.
     None(EngineError),
 }
@@ -163,6 +165,10 @@ impl Renderer {
                     jobs.iter().for_each(|job| job.set_alone());
                     landed.redraw.extend(jobs);
                 }
+                Room::MadeInThreePasses => {
+                    jobs.iter().for_each(|job| job.take_three_passes());
+                    landed.redraw.extend(jobs);
+                }
                 Room::None(error) => landed.refuse(jobs, &error),
             }
             self.ring.give_back(group.landing);
@@ -224,6 +230,22 @@ impl Renderer {
                 _ if limit >= longest => Room::Made,
                 0 | 1 => too_many("large triangles and splats in view", longest, limit),
                 _ => Room::MadeIfAlone,
+            };
+        }
+        if stats.paint_cut != 0 {
+            return match self.scratch.grow_paint_launches(group.paint_launches) {
+                true => Room::Made,
+                false => Room::MadeInThreePasses,
+            };
+        }
+        if stats.splats_wanted > group.paint_capacity {
+            if stats.splats_wanted == u32::MAX {
+                return Room::MadeInThreePasses;
+            }
+            self.scratch.grow_painted(&self.gpu, stats.splats_wanted);
+            return match self.scratch.paint_capacity() >= stats.splats_wanted {
+                true => Room::Made,
+                false => Room::MadeInThreePasses,
             };
         }
         if stats.walk_cut != 0 {

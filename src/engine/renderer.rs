@@ -65,6 +65,8 @@ pub(super) struct FlyingGroup {
     pub(super) spans: Vec<PassSpan>,
     pub(super) large_capacity: u32,
     pub(super) entry_capacity: u32,
+    pub(super) paint_capacity: u32,
+    pub(super) paint_launches: u32,
     pub(super) walk_stride: u32,
     pub(super) gpu_bytes: u64,
 }
@@ -245,6 +247,8 @@ impl Renderer {
                     spans,
                     large_capacity: self.scratch.large_capacity(),
                     entry_capacity: self.scratch.entry_capacity(),
+                    paint_capacity: self.scratch.paint_capacity(),
+                    paint_launches: self.scratch.paint_launches(),
                     walk_stride: self.scratch.walk_stride(),
                     gpu_bytes,
                 }
@@ -300,6 +304,8 @@ impl Renderer {
             background: drawing.background(&first.frame.model),
             window_pixels: passes::window_pixels(self.gpu.max_binding_bytes()),
             entry_capacity: self.scratch.entry_capacity(),
+            paint_capacity: self.scratch.paint_capacity(),
+            paint_launches: self.scratch.paint_launches(),
         }
     }
 

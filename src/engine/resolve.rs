@@ -16,7 +16,7 @@ use super::viewpoint::{clip_region, pose};
 use super::{EngineError, FrameRequest};
 use crate::encode::{self, EncodeError, ImageFormat};
 use crate::math::View;
-use crate::passes::{Levels, PATCH_BYTES, SLABS_BYTES, Slabs};
+use crate::passes::{Levels, PAINTED_BYTES, PATCH_BYTES, SLABS_BYTES, Slabs};
 use crate::plan::auto::{self, Choice};
 use crate::plan::{
     AdapterFacts, ColorBy, Edl, Output, Reconstruct, Reconstruction, SceneFacts, Settings, Wait,
@@ -356,22 +356,25 @@ fn decide(
         Some(_) => settings.as_splats(),
         None => settings.in_three_passes(),
     };
-    let fuzzy = reconstruction.fuzzy().filter(|_| facts.counts.samples > 0);
+    let has_samples = facts.counts.samples > 0;
+    let blended = reconstruction.without_depths().filter(|_| has_samples);
+    let fuzzy = reconstruction.fuzzy().filter(|_| has_samples);
     let fits = |splats| {
         let accepted_px = if facts.trees { settings.accepted_px() } else { 0.0 };
         let parts = request.settings.parts();
         let accepted_px = accepted_px * parts as f32;
         Slabs::new(splats, &loaded.extent, &view.finer(parts), accepted_px).fit()
     };
-    let refused = fuzzy.and_then(|splats| {
+    let refused = blended.and_then(|_| no_blending(&request, &adapter)).or_else(|| {
         let too_deep = "the scene is too deep for the slabs of a single pass";
-        no_fuzzy(&request, &adapter).or_else(|| (!fits(splats)).then_some(too_deep))
+        let splats = fuzzy?;
+        no_fuzzy(&adapter).or_else(|| (!fits(splats)).then_some(too_deep))
     });
-    let pulled = reconstruction.pull_push().filter(|_| facts.counts.samples > 0);
+    let pulled = reconstruction.pull_push().filter(|_| has_samples);
     let refused = refused.or_else(|| pulled.and_then(|_| no_pyramid(&request, &adapter)));
-    // Neither leaves depths of what it draws.
+    // None of them leaves depths of what it draws.
     let composites = facts.translucent && request.output == Output::Color;
-    let undecided = (fuzzy.is_some() || pulled.is_some()) && composites;
+    let undecided = (blended.is_some() || pulled.is_some()) && composites;
     let refused = refused.or_else(|| {
         undecided.then_some("it gives translucent surfaces no depths to be compared with")
     });
@@ -379,9 +382,12 @@ fn decide(
         Some(_) => way(&other, refused),
         None => way(&settings, None),
     };
-    let in_three_passes = (fuzzy.is_some() && refused.is_none()).then(|| {
-        way(&other, Some("more splats lie over one pixel than a single pass has room for"))
-    });
+    let too_many = match fuzzy {
+        Some(_) => "more splats lie over one pixel than a single pass has room for",
+        None => "the frame has more splats, or larger ones, than can be sorted",
+    };
+    let in_three_passes =
+        (blended.is_some() && refused.is_none()).then(|| way(&other, Some(too_many)));
     let tagged =
         Tagged { auto: auto.as_ref(), drawing: &drawing, is_provisional: provisional.is_some() };
     let key = entity_tag(loaded, &request, &tagged, &view, &adapter);
@@ -446,24 +452,26 @@ fn needed_output(request: &FrameRequest) -> Output {
     }
 }
 
-/// Why the frame cannot be drawn with `reconstruct=fuzzy`.
-fn no_fuzzy(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str> {
+/// Why splats that leave no depths cannot draw the frame.
+fn no_blending(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str> {
     let (width, height) = drawn_size(request);
     let pixels = u64::from(width) * u64::from(height);
     if request.output != Output::Color {
-        return Some("a single pass has nothing but colours");
+        return Some("it has nothing but colours");
     }
     if request.settings.edl == Edl::On {
-        return Some("a single pass has no depths for eye-dome lighting");
+        return Some("it has no depths for eye-dome lighting");
     }
     if request.settings.recolors() {
-        return Some("a single pass has no surfaces to colour");
+        return Some("it has no surfaces to colour");
     }
-    if !adapter.atomic_sums_64 {
-        return Some("a single pass needs 64-bit atomics that add and exchange");
-    }
-    (pixels * SLABS_BYTES > adapter.max_binding_bytes)
-        .then_some("the adapter cannot bind what a single pass needs for so many pixels")
+    (pixels * SLABS_BYTES.max(PAINTED_BYTES) > adapter.max_binding_bytes)
+        .then_some("the adapter cannot bind what it needs for so many pixels")
+}
+
+/// Why the frame cannot be drawn with `reconstruct=fuzzy`.
+fn no_fuzzy(adapter: &Adapter) -> Option<&'static str> {
+    (!adapter.atomic_sums_64).then_some("a single pass needs 64-bit atomics that add and exchange")
 }
 
 /// Why pull-push cannot draw a frame.

@@ -37,20 +37,20 @@ pub struct Blended {
 }
 
 /// A splat with what it brings to a pixel.
-struct Splat {
-    seen: SeenSplat,
+pub(super) struct Splat {
+    pub(super) seen: SeenSplat,
     /// At its own centre.
     surface: Surface,
     /// The blended colour: albedo, or the lit colour.
-    color: [f64; 3],
+    pub(super) color: [f64; 3],
     instance: u32,
-    rank: Rank,
+    pub(super) rank: Rank,
     /// Which side is seen: 1 the outside, −1 the inside, 0 where normals do not tell.
-    facing: i8,
+    pub(super) facing: i8,
 }
 
 /// Which of two wins at the same depth: instance, index, item.
-type Rank = (u32, u32, u32);
+pub(super) type Rank = (u32, u32, u32);
 
 /// The nearest so far.
 #[derive(Clone, Copy)]
@@ -103,7 +103,7 @@ pub fn splatted(
 }
 
 /// All splats that may cover a pixel, in the scene's order.
-fn seen_splats(prepared: &Prepared<'_>, view: &View, settings: &Settings) -> Vec<Splat> {
+pub(super) fn seen_splats(prepared: &Prepared<'_>, view: &View, settings: &Settings) -> Vec<Splat> {
     let of_item = |(number, item): (usize, &PreparedItem<'_>)| match item.item.geometry {
         Geometry::Points(cloud) => item_splats(prepared, view, settings, (number, item, cloud)),
         Geometry::Mesh(_) | Geometry::Lines(_) => vec![],

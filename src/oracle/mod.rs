@@ -10,6 +10,7 @@
 //!    Lines (`lines`) cover a pixel when that ray meets them.
 //! 2. `blend`: where samples are drawn as splats instead (`splats`, and `footprint` for their shapes in the image), which
 //!    pixels show them before the triangles, and the weighted means of those that make up the nearest surface.
+//!    `paint` lays them over each other instead, where that is asked for.
 //!    `pull_push` fills the gaps between samples of one pixel from coarser levels of the image instead, where that is asked for.
 //! 3. `surface`: colour (`texture` included), normal and material where the ray meets the winner.
 //! 4. `shade`: Phong, or the colour as it is.
@@ -25,6 +26,7 @@ pub mod color;
 mod edl;
 mod footprint;
 mod lines;
+mod paint;
 mod predicates;
 mod prepare;
 mod pull_push;
@@ -51,7 +53,7 @@ use crate::assets::{Geometry, Material, Texture};
 use crate::math::View;
 use crate::scene::clipping::ClipRegion;
 use crate::scene::recolor::Recolor;
-use crate::scene::{Discs, EyeDome, Light, MaterialSpec, PullPush, Splats};
+use crate::scene::{Discs, EyeDome, Light, MaterialSpec, Painting, PullPush, Splats};
 
 use blend::Blended;
 use prepare::Prepared;
@@ -67,6 +69,9 @@ pub struct OracleScene<'a> {
     pub background: [f32; 4],
     /// How samples are drawn as splats; `None` draws one pixel a sample.
     pub splats: Option<Splats>,
+    /// How splats are painted over each other, where there are any; `None` for splats that hide what is behind them. Colours show painted
+    /// splats, and other outputs what is behind.
+    pub painted: Option<Painting>,
     /// How gaps between samples are filled; takes the place of `splats`.
     pub pull_push: Option<PullPush>,
     /// Discs that samples are drawn as where `splats` is `None`; `None` for points of one pixel.
@@ -166,6 +171,13 @@ enum Shown {
 }
 
 impl Shown {
+    fn hit(&self) -> Option<Hit> {
+        match self {
+            Shown::Hit(hit) => Some(*hit),
+            Shown::Nothing | Shown::Splats(_) => None,
+        }
+    }
+
     fn depth(&self) -> f64 {
         match self {
             Shown::Nothing => f64::INFINITY,
@@ -190,6 +202,9 @@ fn shown(prepared: &Prepared<'_>, view: &View, fineness: u32, opaque: bool) -> V
     let Some(splats) = &prepared.scene.splats else {
         return hits.into_iter().map(or_hit).collect();
     };
+    if prepared.scene.painted.is_some() {
+        return hits.into_iter().map(or_hit).collect();
+    }
     let settings = splats::Settings::new(splats, fineness);
     let blended = blend::splatted(prepared, &fine_view, &settings, &hits);
     let shown = |(blended, hit): (Option<Blended>, Option<Hit>)| {
@@ -218,6 +233,11 @@ fn colors(prepared: &Prepared<'_>, view: &View, fineness: u32, centres: &[Shown]
         [r * factor, g * factor, b * factor, alpha]
     };
     let mut fine: Vec<[f64; 4]> = shown.par_iter().enumerate().map(color).collect();
+    if let (Some(each), Some(splats)) = (prepared.scene.painted, &prepared.scene.splats) {
+        let settings = splats::Settings::new(splats, fineness).painted();
+        let hits: Vec<Option<Hit>> = shown.iter().map(Shown::hit).collect();
+        paint::paint(prepared, &fine_view, (&settings, each), &hits, &mut fine);
+    }
     if prepared.has_translucent() {
         let layers = visibility::layers(prepared, &fine_view);
         let pixels = fine.par_iter_mut().zip(shown).zip(&layers).enumerate();

@@ -19,7 +19,7 @@ use glam::{DMat2, DVec2, DVec3};
 
 use crate::assets::{Clip, ClipLine, PointCloud};
 use crate::math::View;
-use crate::scene::{Blend, Filter, Splats};
+use crate::scene::{Blend, Filter, PAINT_WIDTH_PERCENT, Splats};
 
 use super::footprint::{Disk, Gaussian, solve};
 use super::prepare::PreparedItem;
@@ -41,6 +41,7 @@ pub struct Settings {
     width: f64,
     /// Zero without a low-pass filter.
     lowpass_px: f64,
+    least_amplitude: f64,
 }
 
 impl Settings {
@@ -52,7 +53,14 @@ impl Settings {
             cutoff: f64::from(splats.cutoff),
             width: f64::from(splats.width),
             lowpass_px: if splats.prefilter { lowpass_px } else { 0.0 },
+            least_amplitude: LEAST_AMPLITUDE,
         }
+    }
+
+    /// The settings for splats that cover their own shares of pixels, however small.
+    #[must_use]
+    pub fn painted(self) -> Self {
+        Self { least_amplitude: 0.0, ..self }
     }
 }
 
@@ -64,6 +72,8 @@ pub struct Touch {
     pub weight: f64,
     /// Its disk itself covers the pixel, or has its centre there.
     pub is_seen: bool,
+    /// The filtered kernel itself covers the pixel.
+    pub is_within: bool,
 }
 
 /// A splat in one view.
@@ -139,11 +149,8 @@ impl SeenSplat {
         let lowpass_px = if crossing { 0.0 } else { settings.lowpass_px };
         let lowpass = cutoff * lowpass_px * view.divisor(centre.z) / view.focal_px.y;
         let disk = Disk::new(centre, tangents, view);
-        let (shape, amplitude) = if crossing {
-            (Shape::Disk, 1.0)
-        } else {
-            shape(settings.splats.filter, &disk, cutoff, lowpass_px)
-        };
+        let (shape, amplitude) =
+            if crossing { (Shape::Disk, 1.0) } else { shape(settings, &disk, lowpass_px) };
         // Beyond a disk's own radius, the margin that the filter adds lies no longer in the disk's plane.
         let beyond = reach + lowpass.min(cutoff * u.length().max(v.length()));
         let (far, near) = (centre.z + beyond, centre.z - beyond);
@@ -179,6 +186,31 @@ impl SeenSplat {
         (x0 < x1 && y0 < y1 && seen.offset.is_finite()).then_some(seen)
     }
 
+    /// What a painted splat covers of a pixel: a Gaussian of [`PAINT_WIDTH_PERCENT`] of the width, less its value at the kernel's end. Splats
+    /// smaller than a pixel cover no more of it for their greater width.
+    pub fn cover(&self, touch: &Touch) -> f64 {
+        let narrow = (100.0 / f64::from(PAINT_WIDTH_PERCENT)).powi(2);
+        let least = (-0.5 * self.squared_cutoff * narrow).exp();
+        let own = (touch.weight / self.amplitude).powf(narrow);
+        let amplitude = self.amplitude * (narrow + (1.0 - narrow) * self.amplitude);
+        let cover = amplitude * (own - least) / (1.0 - least);
+        // Not a number where nothing is left of the amplitude.
+        cover.clamp(0.0, 1.0).max(0.0)
+    }
+
+    /// Its weight among the splats of a surface: the Gaussian less its value at the end of the kernel that is not widened. However small, a
+    /// weight counts where there is no other.
+    pub fn painted_weight(&self, touch: &Touch) -> f64 {
+        let narrow = (100.0 / f64::from(PAINT_WIDTH_PERCENT)).powi(2);
+        let least = self.amplitude * (-0.5 * self.squared_cutoff * narrow).exp();
+        (touch.weight - least).max(1e-12)
+    }
+
+    /// Distance of the centre from the eye, or its depth where rays are parallel.
+    pub fn distance(&self, is_parallel: bool) -> f64 {
+        if is_parallel { self.centre.z.abs() } else { self.centre.length() }
+    }
+
     /// Returns the splat's values at an image position, whose `ray` is in view space; `None` where it does not cover it.
     pub fn at(&self, pixel: DVec2, ray: DVec3) -> Option<Touch> {
         let plane = self.plane_coordinates(camera_from_view(ray));
@@ -207,7 +239,8 @@ impl SeenSplat {
         // Not a number, a distance counts as any that is covered.
         let weight = self.amplitude * (-0.5 * squared.min(self.squared_cutoff)).exp();
         let sound = depth > 0.0 && depth.is_finite() && weight.is_finite();
-        (covered && sound).then_some(Touch { depth, weight, is_seen })
+        let is_within = squared <= self.squared_cutoff;
+        (covered && sound).then_some(Touch { depth, weight, is_seen, is_within })
     }
 
     /// `(s/λ, t/λ, 1/λ)` where the ray meets the disk's plane, with λ = 1 for parallel rays; `None` for a plane that rays lie in.
@@ -304,16 +337,17 @@ pub(super) fn tangents(
 }
 
 /// The shape that draws a regular splat, and the height of its Gaussian.
-fn shape(filter: Filter, disk: &Disk, cutoff: f64, lowpass_px: f64) -> (Shape, f64) {
+fn shape(settings: &Settings, disk: &Disk, lowpass_px: f64) -> (Shape, f64) {
+    let (least, cutoff) = (settings.least_amplitude, settings.cutoff);
     let affine = disk.affine();
     let amplitude = |gaussian: &Gaussian| match gaussian.amplitude(lowpass_px) {
         _ if lowpass_px == 0.0 => 1.0,
-        thin if thin < LEAST_AMPLITUDE => LEAST_AMPLITUDE,
+        thin if thin < least => least,
         // NaN stays NaN, and covers nothing.
         amplitude => amplitude,
     };
     let image = |gaussian: Gaussian| (Shape::Image(gaussian), amplitude(&gaussian));
-    match filter {
+    match settings.splats.filter {
         Filter::Affine => image(affine),
         Filter::Perspective => image(disk.perspective(cutoff)),
         Filter::Exact if lowpass_px == 0.0 => (Shape::Disk, 1.0),

@@ -49,6 +49,7 @@ pub fn scene<'a>(items: Vec<OracleItem<'a>>) -> OracleScene<'a> {
         lights: &[],
         background: [0.0, 0.0, 0.0, 1.0],
         splats: None,
+        painted: None,
         pull_push: None,
         discs: None,
         least_line_px: 0.0,

@@ -1,7 +1,7 @@
 //! The buffer behind every name that a shader binds.
 
 use super::scratch::Scratch;
-use super::uniforms::{GroupUniforms, SEGMENT_WINDOW, VIEWS_WINDOW};
+use super::uniforms::{DIGITS, GroupUniforms, SEGMENT_WINDOW, VIEWS_WINDOW};
 use crate::gpu::bind::Binding;
 use crate::gpu::buffer::Buffer;
 use crate::residency::layout::{FEW_LIGHTS, GpuLight};
@@ -15,7 +15,7 @@ pub struct Names<'a> {
     pub uniforms: &'a GroupUniforms,
     /// The segment that a pass draws, if it draws one.
     pub segment: Option<usize>,
-    /// The level of the pyramid that a pass makes.
+    /// The level of the pyramid that a pass makes, or the digit that it sorts by.
     pub level: usize,
     /// The window that translucent surfaces are drawn in, and the layer.
     pub window: (usize, usize),
@@ -43,6 +43,10 @@ impl<'a> Names<'a> {
                 let offset = *layers.get(window.1)?;
                 return Some((Binding::Window(scratch.uniforms.buffer(), SEGMENT_WINDOW), offset));
             }
+            "digit" => {
+                let offset = *uniforms.digits.get(level)?;
+                return Some((Binding::Window(scratch.uniforms.buffer(), SEGMENT_WINDOW), offset));
+            }
             "few_lights" => {
                 let window = u64::from(FEW_LIGHTS) * size_of::<GpuLight>() as u64;
                 return Some((Binding::Window(&scene.lights, window), 0));
@@ -57,6 +61,20 @@ impl<'a> Names<'a> {
             "patches_2" => scratch.patches[2].buffer(),
             "patches_3" => scratch.patches[3].buffer(),
             "layers" => scratch.layers.buffer(),
+            "paint_list" => scratch.paint_list.buffer(),
+            "paint_places" => scratch.paint_places.buffer(),
+            "paint_records" => scratch.paint_records.buffer(),
+            "paint_counts" => scratch.paint_counts.buffer(),
+            "paint_sums" => scratch.paint_sums.buffer(),
+            "paint_ends" => scratch.paint_ends.buffer(),
+            "painted" => scratch.painted.buffer(),
+            // Digits are sorted from one into the other, and back.
+            "sort_from" => scratch.paint_keys[level % 2].buffer(),
+            "sort_to" if self.segment.is_some() => scratch.paint_keys[0].buffer(),
+            "sort_to" => scratch.paint_keys[(level + 1) % 2].buffer(),
+            "sorted" => scratch.paint_keys[DIGITS as usize % 2].buffer(),
+            "paint_order" => scratch.paint_keys[(DIGITS as usize + 1) % 2].buffer(),
+            "paint_cursors" => scratch.paint_cursors.buffer(),
             "fragments" => scratch.fragments.buffer(),
             "covered" => scratch.covered.buffer(),
             "pixels" => scratch.pixels.buffer(),

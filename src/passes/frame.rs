@@ -62,6 +62,10 @@ pub struct FrameTask {
     pub window_pixels: u32,
     /// Maximum number of entries that a frame of point trees may list.
     pub entry_capacity: u32,
+    /// Maximum number of splats that may be painted.
+    pub paint_capacity: u32,
+    /// Launches in which they are painted.
+    pub paint_launches: u32,
 }
 
 /// Beyond it a few triangles would take all the rounds of loops that lavapipe lets a thread have: 65535.
@@ -254,6 +258,8 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         // A little less, so that lines of one pixel are strips, which take less time than tubes.
         line_radius: 0.499_99 * task.least_line_px
             / (view.focal_px.x * view.focal_px.y).sqrt() as f32,
+        paint_capacity: task.paint_capacity,
+        unused: [0; 3],
         clips: task.clip.map_or_else(Default::default, |clip| clip_records(&clip, view)),
     }
 }

@@ -34,7 +34,7 @@ pub use pipelines::{Pipelines, Variant, common, read_variants, write_variants};
 pub use prime::Prime;
 pub use record::record;
 pub use recorder::{Context, PassSpan};
-pub use scratch::{PATCH_BYTES, SLABS_BYTES, Scratch};
+pub use scratch::{PAINTED_BYTES, PATCH_BYTES, SLABS_BYTES, Scratch};
 pub use slabs::Slabs;
 pub use uniforms::{GroupUniforms, Uniforms};
 pub use windows::{LAYERS, most_pixels as window_pixels};

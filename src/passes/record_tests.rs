@@ -8,10 +8,14 @@ use crate::passes::frame::output_number;
 use crate::passes::project::LANES;
 use crate::passes::recorder::DISPATCH_ROW;
 use crate::passes::resolve::TILE;
-use crate::passes::scratch::{BLOCK_PX, BLOCK_WORDS, DEPTHS_BYTES, MOST_ENTRIES};
+use crate::passes::scratch::{
+    BLOCK_PX, BLOCK_WORDS, CLIPPED_RECORD_BYTES, DEPTHS_BYTES, DIGIT_VALUES, MOST_ENTRIES,
+    RECORD_BYTES,
+};
 use crate::passes::select::{compact, cull, place};
 use crate::passes::shaders::{Choices, composed, source};
 use crate::passes::slabs::SLABS;
+use crate::passes::uniforms::DIGITS;
 use crate::passes::windows::LAYERS;
 use crate::plan::{Output, TURNS};
 use crate::residency::layout::*;
@@ -210,6 +214,17 @@ fn views_fit_their_records() {
     assert_eq!(1 << row_bits, MOST_ROWS);
     assert_eq!(scalar(&walk, "ROW_MASK"), MOST_ROWS - 1);
     assert!(MOST_VIEWS <= 1 << (32 - 2 * row_bits));
+}
+
+#[test]
+fn painted_splats_fit_their_records() {
+    let sort = module("reconstruct/move_tiles");
+    assert_eq!(scalar(&sort, "VALUES"), DIGIT_VALUES);
+    assert_eq!(scalar(&sort, "TILES").pow(2), DIGIT_VALUES);
+    assert_eq!(scalar(&module("reconstruct/count_keys"), "DIGITS"), DIGITS);
+    let records = [RECORD_BYTES, CLIPPED_RECORD_BYTES];
+    let vectors = ["RECORD", "CLIPPED_RECORD"].map(|name| u64::from(scalar(&sort, name)));
+    assert_eq!(records, vectors.map(|count| 16 * count));
 }
 
 #[test]

@@ -7,9 +7,9 @@ use super::bindings::Names;
 use super::frame::FrameTask;
 use super::levels::Levels;
 use super::pipelines::{Constants, Pipelines};
-use super::scratch::Scratch;
+use super::scratch::{Scratch, lanes};
 use super::shaders::{Choices, Portion, Visibility};
-use super::uniforms::GroupUniforms;
+use super::uniforms::{DIGITS, GroupUniforms};
 use super::windows::{COVERED_BYTES, FRAGMENT_BYTES, LAYERS};
 use crate::bake::pack::{GeometryKind, PageKind};
 use crate::gpu::Gpu;
@@ -54,7 +54,7 @@ pub struct Recorder<'a, 'c> {
     pub stage: Stage,
     /// The segment that the pass is recorded for, if it is for one.
     pub segment: Segment,
-    /// The level of the pyramid that the pass is recorded for, if it is for one; else 0.
+    /// The level of the pyramid, or the digit, that the pass is recorded for, if it is for one; else 0.
     pub level: usize,
     /// The window of the image that translucent surfaces are drawn in.
     pub window: usize,
@@ -135,6 +135,7 @@ impl<'a, 'c> Recorder<'a, 'c> {
             Per::Coarser => coarser().collect(),
             // The image itself is completed where it is resolved.
             Per::Finer => coarser().skip(1).rev().collect(),
+            Per::Digit => (0..DIGITS as usize).map(|digit| (None, digit)).collect(),
         }
     }
 
@@ -163,7 +164,8 @@ impl<'a, 'c> Recorder<'a, 'c> {
     /// Which of a segment's slots the pass draws. Splats that are blended in a single pass and translucent surfaces are drawn wherever
     /// they are.
     pub fn portion(&self) -> Portion {
-        let everywhere = self.stage == Stage::Fuzzy || self.stage.is_windowed();
+        let everywhere =
+            matches!(self.stage, Stage::Fuzzy | Stage::Paint) || self.stage.is_windowed();
         if self.task.hides() && !everywhere { Portion::Turn } else { Portion::All }
     }
 
@@ -212,7 +214,7 @@ impl<'a, 'c> Recorder<'a, 'c> {
 
     /// The override of `shared/lanes`.
     pub fn lanes(&self) -> (&'static str, u32) {
-        ("LANES", if self.context.gpu.is_cpu { 8 } else { 64 })
+        ("LANES", lanes(self.context.gpu.is_cpu))
     }
 
     /// Whether what is hidden by what is nearer is looked for, as an override.

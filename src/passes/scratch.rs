@@ -25,6 +25,19 @@ pub struct Scratch {
     pub sums: [buffer::Scratch; 4],
     /// Words of splats that are blended in a single pass; see `shared/slabs`.
     pub layers: buffer::Scratch,
+    /// Splats that are painted over each other: their list, the places of what threads take of slots, their records, their keys before and after a digit is
+    /// sorted, and what sorting counts; see `shared/painted` and `shared/digits`.
+    pub paint_list: buffer::Scratch,
+    pub paint_places: buffer::Scratch,
+    pub paint_records: buffer::Scratch,
+    pub paint_keys: [buffer::Scratch; 2],
+    pub paint_counts: buffer::Scratch,
+    /// How far threads have painted, and the picture that they make.
+    pub paint_cursors: buffer::Scratch,
+    pub painted: buffer::Scratch,
+    /// Of each pixel the surface that is being painted: its sums, and where it ends.
+    pub paint_sums: buffer::Scratch,
+    pub paint_ends: buffer::Scratch,
     /// The nearest translucent fragments of the pixels of a window, and what they cover; see `shared/window`.
     pub fragments: buffer::Scratch,
     pub covered: buffer::Scratch,
@@ -64,6 +77,10 @@ pub struct Scratch {
     entry_capacity: u32,
     /// Entries of the list of large triangles that are walked side by side.
     walk_stride: u32,
+    /// Splats that a frame may paint.
+    paint_capacity: u32,
+    /// Launches in which it paints them.
+    paint_launches: u32,
 }
 
 /// Size of a buffer that backgrounds are copied from, and how many are kept.
@@ -92,6 +109,25 @@ const ENTRIES_INITIAL: u32 = 1 << 15;
 /// Entries of a list that are walked side by side, each by a workgroup a band: at first, and at most.
 const STRIDE_INITIAL: u32 = 64;
 const MOST_STRIDE: u32 = 1 << 15;
+/// Likewise for the splats that a frame paints.
+const PAINTED_INITIAL: u32 = 1 << 17;
+/// Most of them, whatever a binding holds: 500 MB.
+const MOST_PAINTED: u32 = 1 << 22;
+/// Size of a painted splat's record where some splats of the scene have clip lines, and where none have; as in `shared/painted`.
+pub const CLIPPED_RECORD_BYTES: u64 = 112;
+pub const RECORD_BYTES: u64 = 80;
+/// Size of the list of painted splats, and rows of what sorting counts: values of a digit, which are the tiles of the image as well.
+const PAINT_LIST_BYTES: u64 = 16 + 4 * (DIGIT_VALUES as u64 + 1);
+pub const DIGIT_VALUES: u32 = 256;
+/// Bytes of what splats cover of a pixel: colour and alpha.
+pub const PAINTED_BYTES: u64 = 16;
+/// Tiles along each side of the image; as in `shared/painted`.
+const TILES: u32 = 16;
+/// Threads of a workgroup that paints, at most, and what each of them keeps between launches.
+const PAINTERS: u64 = 64;
+const CURSOR_BYTES: u64 = 8;
+/// Launches that paint, at most.
+const MOST_PAINT_LAUNCHES: u32 = 64;
 /// Slots have numbers of 22 bits.
 pub const MOST_ENTRIES: u32 = 1 << 22;
 
@@ -110,6 +146,15 @@ impl Scratch {
             normals: make("normals"),
             sums: ["sums_0", "sums_1", "sums_2", "sums_3"].map(make),
             layers: make("layers"),
+            paint_list: make("paint_list"),
+            paint_places: make("paint_places"),
+            paint_records: make("paint_records"),
+            paint_keys: ["paint_keys_0", "paint_keys_1"].map(make),
+            paint_counts: make("paint_counts"),
+            paint_cursors: make("paint_cursors"),
+            painted: make("painted"),
+            paint_sums: make("paint_sums"),
+            paint_ends: make("paint_ends"),
             fragments: make("fragments"),
             covered: make("covered"),
             patches: ["patches_0", "patches_1", "patches_2", "patches_3"].map(make),
@@ -144,6 +189,8 @@ impl Scratch {
             large_capacity: LARGE_INITIAL.min(most_large(gpu)),
             entry_capacity: ENTRIES_INITIAL.min(most_entries(gpu)),
             walk_stride: STRIDE_INITIAL,
+            paint_capacity: PAINTED_INITIAL.min(most_painted(gpu)),
+            paint_launches: 1,
         }
     }
 
@@ -186,6 +233,23 @@ impl Scratch {
         }
         if task.plan.runs(Pass::ResolveFuzzy) {
             self.layers.reserve(gpu, pixels * SLABS_BYTES);
+        }
+        if task.plan.runs(Pass::PaintSplats) {
+            let splats = u64::from(self.paint_capacity);
+            self.paint_list.reserve(gpu, PAINT_LIST_BYTES);
+            let slots = u64::from(scene.entries(self.entry_capacity).1);
+            let counts = slots * u64::from(lanes(gpu.is_cpu)) * 4;
+            self.paint_places.reserve(gpu, counts.min(gpu.max_binding_bytes()));
+            self.paint_records.reserve(gpu, splats * record_bytes(scene.has_clip_lines()));
+            for keys in &mut self.paint_keys {
+                keys.reserve(gpu, splats * 8);
+            }
+            let workers = u64::from(sort_workers(gpu.is_cpu));
+            self.paint_counts.reserve(gpu, (workers + 1) * u64::from(DIGIT_VALUES) * 4);
+            self.painted.reserve(gpu, pixels * PAINTED_BYTES);
+            self.paint_sums.reserve(gpu, pixels * PAINTED_BYTES);
+            self.paint_ends.reserve(gpu, pixels * 8);
+            self.paint_cursors.reserve(gpu, cursors_bytes(height, gpu.is_cpu));
         }
         if task.composites() {
             let pixels = pixels.min(task.window_pixels.into());
@@ -261,6 +325,26 @@ impl Scratch {
         self.walk_stride > stride
     }
 
+    pub fn paint_capacity(&self) -> u32 {
+        self.paint_capacity
+    }
+
+    /// Makes room for `count` painted splats from the next frame on, as far as a binding goes.
+    pub fn grow_painted(&mut self, gpu: &Gpu, count: u32) {
+        let wanted = count.checked_next_power_of_two().unwrap_or(u32::MAX);
+        self.paint_capacity = wanted.max(self.paint_capacity).min(most_painted(gpu));
+    }
+
+    pub fn paint_launches(&self) -> u32 {
+        self.paint_launches
+    }
+
+    /// Paints in more launches than `launches` from the next frame on; false where there can be no more.
+    pub fn grow_paint_launches(&mut self, launches: u32) -> bool {
+        self.paint_launches = self.paint_launches.max((launches * 8).min(MOST_PAINT_LAUNCHES));
+        self.paint_launches > launches
+    }
+
     /// A buffer of [`BACKGROUND_BYTES`] that is full of `word`.
     pub fn background(&mut self, gpu: &Gpu, word: u32) -> wgpu::Buffer {
         if self.backgrounds.len() >= MOST_BACKGROUNDS && !self.backgrounds.contains_key(&word) {
@@ -305,6 +389,37 @@ impl Scratch {
         self.attachment = Some((width, height, view.clone()));
         view
     }
+}
+
+/// Threads that take a chunk of samples. A CPU has few.
+pub fn lanes(is_cpu: bool) -> u32 {
+    if is_cpu { 8 } else { 64 }
+}
+
+/// Threads that sort painted splats, each a share of them. A CPU has few.
+pub fn sort_workers(is_cpu: bool) -> u32 {
+    if is_cpu { 256 } else { 8192 }
+}
+
+/// Rows of a band of a tile, and bands of a tile, of an image of this height. A workgroup of a GPU should have few rows.
+pub fn paint_bands(height: u32, is_cpu: bool) -> (u32, u32) {
+    let rows = if is_cpu { 32 } else { 8 };
+    (rows, height.div_ceil(TILES).div_ceil(rows))
+}
+
+/// Size of the cursors of all threads that paint.
+pub fn cursors_bytes(height: u32, is_cpu: bool) -> u64 {
+    let (_, bands) = paint_bands(height, is_cpu);
+    u64::from(DIGIT_VALUES * bands) * PAINTERS * CURSOR_BYTES
+}
+
+fn record_bytes(has_clip_lines: bool) -> u64 {
+    if has_clip_lines { CLIPPED_RECORD_BYTES } else { RECORD_BYTES }
+}
+
+/// Painted splats whose records a shader can bind.
+fn most_painted(gpu: &Gpu) -> u32 {
+    (gpu.max_binding_bytes() / CLIPPED_RECORD_BYTES).min(u64::from(MOST_PAINTED)) as u32
 }
 
 /// Entries whose slots a shader can bind, in whole groups.

@@ -17,18 +17,22 @@ const ALIGN: usize = 256;
 pub const VIEWS_WINDOW: u64 = MOST_VIEWS as u64 * size_of::<GpuFrame>() as u64;
 /// Size of the window that a shader binds as its segment, or as its level.
 pub const SEGMENT_WINDOW: u64 = 16;
+/// Digits of the keys that painted splats are sorted by; as in `shared/digits`.
+pub const DIGITS: u32 = 3;
 
 #[derive(Default)]
 pub struct Uniforms {
     bytes: Vec<u8>,
 }
 
-/// Where the records of one group lie: those of its views, then one a segment, one a level, and one a layer of each window.
+/// Where the records of one group lie: those of its views, then one a segment, one a level, one a digit, and one a layer of each
+/// window.
 #[derive(Clone, Debug)]
 pub struct GroupUniforms {
     pub views: u32,
     pub segments: Vec<u32>,
     pub levels: Vec<u32>,
+    pub digits: Vec<u32>,
     pub windows: Vec<(Range<u32>, Vec<u32>)>,
 }
 
@@ -52,6 +56,10 @@ impl Uniforms {
             true => Levels::of(task.size()).records().map(|record| self.push(&record)).collect(),
             false => Vec::new(),
         };
+        let digits = match task.plan.runs(Pass::PaintSplats) {
+            true => (0..DIGITS).map(|number| self.push(&[number, 0, 0, 0])).collect(),
+            false => Vec::new(),
+        };
         let windows = match task.composites() {
             true => windows::windows(task.pixels(), task.window_pixels),
             false => Vec::new(),
@@ -61,7 +69,7 @@ impl Uniforms {
             (window, layers)
         };
         let windows = windows.into_iter().map(&mut place).collect();
-        GroupUniforms { views, segments, levels, windows }
+        GroupUniforms { views, segments, levels, digits, windows }
     }
 
     pub fn write(&self, gpu: &Gpu, scratch: &mut Scratch) {

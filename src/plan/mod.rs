@@ -158,7 +158,7 @@ pub struct FramePlan {
     pub lights_pixels: bool,
 }
 
-/// Consecutive passes of one stage, recorded once or for each segment of a kind.
+/// Consecutive passes of one stage, recorded once, for each segment of a kind, or for each digit of a sort.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Step {
     pub stage: Stage,
@@ -196,7 +196,8 @@ impl FramePlan {
                 let passes = passes.iter().filter(|&&pass| !(is_last && is_asked(pass)));
                 let passes: Vec<Pass> = passes.copied().collect();
                 let together = |a: &Pass, b: &Pass| {
-                    a.line().per == b.line().per && matches!(a.line().per, Per::Segment(_))
+                    let per = a.line().per;
+                    per == b.line().per && matches!(per, Per::Segment(_) | Per::Digit)
                 };
                 steps.extend(passes.chunk_by(together).map(|passes| Step {
                     stage,
@@ -231,7 +232,7 @@ impl Facts<'_> {
     /// Whether elements of a kind are drawn even where they are occluded.
     fn is_drawn_wherever(&self, kind: GeometryKind) -> bool {
         match kind {
-            GeometryKind::Samples => self.frame.reconstruction.fuzzy().is_some(),
+            GeometryKind::Samples => self.frame.reconstruction.without_depths().is_some(),
             GeometryKind::Triangles | GeometryKind::Lines => false,
         }
     }
@@ -269,7 +270,9 @@ pub fn plan(scene: &SceneFacts, frame: &FrameFacts, adapter: &AdapterFacts) -> F
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Blend, Discs, EyeDome, PullPush, PullPushWeights, Splats};
+    use crate::scene::{
+        Blend, Discs, EyeDome, Painted, Painting, PullPush, PullPushWeights, Splats,
+    };
 
     const SAMPLES: Counts =
         Counts { samples: 1, chunks: 1, instances: 1, triangles: 0, segments: 0 };
@@ -321,6 +324,7 @@ mod tests {
             Reconstruction::Points,
             Reconstruction::Discs(Discs { diameter_px: 3.0, diameter: 0.0 }),
             Reconstruction::Fuzzy(lit),
+            Reconstruction::Painted(Painted { splats: lit, each: Painting::default() }),
             Reconstruction::PullPush(PullPush {
                 splats: Splats::default(),
                 weights: PullPushWeights::default(),
@@ -496,10 +500,11 @@ mod tests {
             let names: Vec<&str> = step.passes.iter().map(|pass| pass.name()).collect();
             let listed = names.iter().any(|name| name.contains("walk") || name.contains("raster"));
             // No list says which samples are recorded.
-            let is_plain = names == ["record_samples"];
+            let is_plain = ["record_samples", "count_splats", "list_splats"].contains(&names[0]);
             let by_segment = matches!(step.per, Per::Segment(_)) && !is_plain;
             assert_eq!(listed, by_segment, "{names:?}");
-            assert_eq!(names.len(), if listed { 2 } else { 1 }, "{names:?}");
+            let together = if step.per == Per::Digit { 3 } else { 1 };
+            assert_eq!(names.len(), if listed { 2 } else { together }, "{names:?}");
         }
     }
 
@@ -529,7 +534,7 @@ mod tests {
             assert_eq!(serde_json::to_value(pass).unwrap(), pass.name());
             let file = pass.shader().rsplit('/').next().unwrap();
             let half = pass.name().strip_prefix(file).unwrap();
-            assert!(["", "_id", "_layers", "_layers_id"].contains(&half));
+            assert!(["", "_id", "_tiles", "_layers", "_layers_id"].contains(&half));
         }
     }
 
@@ -586,6 +591,18 @@ mod tests {
         let single = ["fuzzy_splats", "fuzzy_walked", "resolve_fuzzy"];
         assert_eq!(runs(&fuzzy, Output::Color, &facts), single);
         assert!(!is_lit(&fuzzy, &facts) && is_lit(&fuzzy, &mixed));
+        let painted = Reconstruction::Painted(Painted { splats, each: Painting::default() });
+        let sort = [
+            "count_splats",
+            "number_splats",
+            "list_splats",
+            "count_keys",
+            "sum_counts",
+            "move_keys",
+        ];
+        let tiles = ["count_tiles", "sum_counts_tiles", "move_tiles"];
+        let paint = [&sort[..], &tiles, &["paint_splats", "composite_splats"]].concat();
+        assert_eq!(runs(&painted, Output::Color, &facts), paint);
         let empty = SceneFacts::default();
         assert!(runs(&deferred, Output::Color, &empty).is_empty());
     }

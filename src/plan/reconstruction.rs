@@ -1,7 +1,7 @@
 //! How a frame makes a surface of projected samples: the method that a request, `auto` and the scene together decide.
 
 use super::{Reconstruct, Settings};
-use crate::scene::{Blend, Discs, PullPush, Shading, Splats};
+use crate::scene::{Blend, Discs, PAINT_WIDTH_PERCENT, Painted, PullPush, Shading, Splats};
 
 /// A method of reconstruction with its parameters.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -16,6 +16,9 @@ pub enum Reconstruction {
     /// Splats that are blended and depth-tested in a single pass (Dachsbacher et al. 2003, §5). `blend` and `shading` are those of the
     /// three passes that the single pass approximates.
     Fuzzy(Splats),
+    /// Splats that are painted over each other in the order of their distances (Coconu & Hege 2002). `blend` and `shading` are as for
+    /// [`Reconstruction::Fuzzy`].
+    Painted(Painted),
     /// One pixel a sample, and coarser levels of the image that fill the gaps (Marroquim et al. 2008).
     PullPush(PullPush),
 }
@@ -28,6 +31,7 @@ impl Reconstruction {
             prefilter: settings.prefilter.unwrap_or(scene.prefilter),
             ..*scene
         };
+        let lit = |splats| Splats { blend: Blend::Weighted, shading: Shading::Splat, ..splats };
         match settings.reconstruct {
             // `auto` has been decided before.
             Reconstruct::Points | Reconstruct::Auto => {
@@ -43,10 +47,14 @@ impl Reconstruction {
                 ..splats
             }),
             // Blended colours cannot be lit any more.
-            Reconstruct::Fuzzy => Reconstruction::Fuzzy(Splats {
-                blend: Blend::Weighted,
-                shading: Shading::Splat,
-                ..splats
+            Reconstruct::Fuzzy => Reconstruction::Fuzzy(lit(splats)),
+            Reconstruct::Painted => Reconstruction::Painted(Painted {
+                splats: Splats {
+                    prefilter: true,
+                    cutoff: splats.cutoff * PAINT_WIDTH_PERCENT as f32 / 100.0,
+                    ..lit(splats)
+                },
+                each: settings.painted_as,
             }),
             Reconstruct::PullPush => Reconstruction::PullPush(PullPush {
                 splats: Splats {
@@ -65,6 +73,7 @@ impl Reconstruction {
         match self {
             Reconstruction::Points | Reconstruction::Discs(_) => None,
             Reconstruction::Splats(splats) | Reconstruction::Fuzzy(splats) => Some(splats),
+            Reconstruction::Painted(painted) => Some(&painted.splats),
             Reconstruction::PullPush(pull_push) => Some(&pull_push.splats),
         }
     }
@@ -81,6 +90,10 @@ impl Reconstruction {
             }
             Reconstruction::Splats(splats) => Reconstruction::Splats(finer(splats)),
             Reconstruction::Fuzzy(splats) => Reconstruction::Fuzzy(finer(splats)),
+            Reconstruction::Painted(painted) => {
+                let splats = finer(painted.splats);
+                Reconstruction::Painted(Painted { splats, ..painted })
+            }
             Reconstruction::PullPush(pull_push) => {
                 let splats = finer(pull_push.splats);
                 Reconstruction::PullPush(PullPush { splats, ..pull_push })
@@ -111,7 +124,9 @@ impl Reconstruction {
 
     /// How far behind the nearest surface samples belong to it, in radii of the nearest one; 0 where they are not combined.
     pub fn depth_offset(&self) -> f32 {
-        let splats = self.weighted().or(self.pull_push().map(|pull_push| &pull_push.splats));
+        let painted = self.painted().map(|painted| &painted.splats);
+        let pulled = self.pull_push().map(|pull_push| &pull_push.splats);
+        let splats = self.weighted().or(painted).or(pulled);
         splats.map_or(0.0, |splats| splats.depth_offset)
     }
 
@@ -128,6 +143,19 @@ impl Reconstruction {
         }
     }
 
+    /// The parameters of splats that are painted over each other.
+    pub fn painted(&self) -> Option<&Painted> {
+        match self {
+            Reconstruction::Painted(painted) => Some(painted),
+            _ => None,
+        }
+    }
+
+    /// The parameters of splats that are drawn after all triangles, wherever they are, and leave no depths.
+    pub fn without_depths(&self) -> Option<&Splats> {
+        self.fuzzy().or(self.painted().map(|painted| &painted.splats))
+    }
+
     /// The parameters of splats that are blended in three passes.
     pub fn weighted(&self) -> Option<&Splats> {
         match self {
@@ -138,7 +166,7 @@ impl Reconstruction {
 
     /// Whether overlapping splats are blended, in three passes or in one.
     pub fn blends(&self) -> bool {
-        self.weighted().is_some() || self.fuzzy().is_some()
+        self.weighted().is_some() || self.without_depths().is_some()
     }
 
     /// Whether splats are lit with the given kind of shading.
@@ -178,6 +206,16 @@ mod tests {
         };
         let splats = Splats { blend: Blend::Weighted, prefilter: false, ..SCENE };
         assert_eq!(Reconstruction::new(&asked, &SCENE), Reconstruction::Splats(splats));
+    }
+
+    #[test]
+    fn painted_splats_have_the_parameters_of_a_single_pass() {
+        let painted = method(Reconstruct::Painted);
+        let wider = Splats { cutoff: 2.3, ..*method(Reconstruct::Fuzzy).splats().unwrap() };
+        assert_eq!(painted.splats(), Some(&wider));
+        assert!(painted.painted().is_some() && painted.fuzzy().is_none() && painted.blends());
+        assert!(painted.depth_offset() == 1.0 && method(Reconstruct::Fuzzy).depth_offset() == 0.0);
+        assert_eq!(painted.without_depths(), painted.splats());
     }
 
     #[test]

@@ -37,17 +37,27 @@ use crate::math::Projection;
 use crate::plan::SceneFacts;
 use crate::scene::clipping::ClipBoxes;
 use crate::scene::recolor::ColorMap;
-use crate::scene::{Blend, Filter, PullPushWeights, Shading};
+use crate::scene::{Blend, Filter, Painting, PullPushWeights, Shading};
 use crate::spelling::suggestion;
 
 /// Samples are drawn as splats, or may be.
-const SPLATS: Rule =
-    Rule::new("reconstruct", &["splats", "fuzzy", "auto"], "this setting applies to splats only");
+const SPLATS: Rule = Rule::new(
+    "reconstruct",
+    &["splats", "fuzzy", "painted", "auto"],
+    "this setting applies to splats only",
+);
+const FILTERED: Rule = Rule::new(
+    "reconstruct",
+    &["splats", "fuzzy", "auto"],
+    "painted splats are always low-pass filtered",
+);
 const PULL_PUSH: Rule = Rule::new(
     "reconstruct",
     &["pull_push"],
     "this setting applies to `reconstruct=pull_push` only",
 );
+const PAINTED: Rule =
+    Rule::new("reconstruct", &["painted"], "this setting applies to `reconstruct=painted` only");
 /// Samples are drawn as points, or may be.
 const POINTS: Rule =
     Rule::new("reconstruct", &["points", "auto"], "splats have sizes of their own");
@@ -55,7 +65,7 @@ const POINTS: Rule =
 const PASSES: Rule = Rule::new(
     "reconstruct",
     &["splats", "auto"],
-    "points are not blended, and `fuzzy` has a fixed blend and shading",
+    "points are not blended, and `fuzzy` and `painted` have a fixed blend and shading",
 );
 const TREES: Rule = Rule::new("lod", &["spt"], "this setting applies to `lod=spt` only");
 const MAPPED: Rule = Rule::new(
@@ -69,7 +79,7 @@ const CLIPPED: Rule = Rule::new("clip_boxes", &[], "there are no clip boxes");
 const SAMPLES: Rule = Rule::new("samples", &["some"], "");
 const SEGMENTS: Rule = Rule::new("segments", &["some"], "");
 const EDL: Rule = Rule::new("edl", &["on", "auto"], "eye-dome lighting is off");
-const SURELY_SPLATS: Rule = Rule::new("reconstruct", &["splats", "fuzzy"], "");
+const SURELY_SPLATS: Rule = Rule::new("reconstruct", &["splats", "fuzzy", "painted"], "");
 const THREE_PASSES: Rule = Rule::new("reconstruct", &["splats"], "");
 const COLORS: Rule = Rule::new("output", &["color"], "");
 const INTENSITIES: Rule = Rule::new("fields", &[INTENSITY], "").for_value("intensity");
@@ -232,7 +242,7 @@ settings! {
     }
     /// Whether splats are convolved with a low-pass filter of the image; the scene's value by default.
     prefilter: bool => Option<bool> {
-        label: "Prefilter", kind: SettingKind::Flag, needs: [SPLATS], useful_with: [SAMPLES, SURELY_SPLATS]
+        label: "Prefilter", kind: SettingKind::Flag, needs: [FILTERED], useful_with: [SAMPLES, SURELY_SPLATS]
     }
     /// How overlapping splats are combined; the scene's value by default.
     blend: Blend => Option<Blend> {
@@ -246,6 +256,10 @@ settings! {
     /// Weights of the samples around a gap that pull-push fills.
     pull_push_weights: PullPushWeights => PullPushWeights {
         label: "Gap weights", kind: SettingKind::own::<PullPushWeights>(), needs: [PULL_PUSH], useful_with: [SAMPLES]
+    }
+    /// What `reconstruct=painted` blends.
+    painted_as: Painting => Painting {
+        label: "Painted as", kind: SettingKind::own::<Painting>(), needs: [PAINTED], useful_with: [SAMPLES]
     }
     /// Eye-dome lighting: darkens pixels whose neighbours are nearer (Boucheny 2009). `auto` uses it for samples that have no normals and
     /// are not lit.

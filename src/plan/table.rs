@@ -9,7 +9,8 @@
 //! 3. the WGSL file below `shaders/`; the recording function has the same path below `passes/`;
 //! 4. the suffix that the name of the pass adds to the name of the file;
 //! 5. the stages in which it is recorded; the first is the one that it belongs to;
-//! 6. whether it is recorded once a frame, once for each segment of a kind of geometry, or once for each level of a pyramid ([`Per`]);
+//! 6. whether it is recorded once a frame, once for each segment of a kind of geometry, once for each level of a pyramid, or once for
+//!    each digit of a sort ([`Per`]);
 //! 7. the reasons to skip it. The pass runs if none of them holds.
 //!
 //! Buffers are not listed here: a shader declares what it binds, and `passes/bindings.rs` finds the buffer by its name.
@@ -32,8 +33,8 @@ macro_rules! pass_table {
             Compact              Compute select/compact                ""    [Select]            Frame     [];
             LaunchPortions       Compute select/launch_portions        ""    [Project Ids Blend] Frame     [NOTHING_TO_HIDE FEW_CHUNKS DRAWS_HIDDEN];
             ProjectSamples       Compute project/project_samples       ""    [Project]           Frame     [NO_SAMPLES AS_SPLATS AS_DISCS];
-            ProjectSplats        Compute project/project_splats        ""    [Project]           Samples   [NO_SAMPLES AS_POINTS PULLED FUZZY];
-            WalkSplats           Compute project/walk_splats           ""    [Project]           Samples   [NO_SAMPLES AS_POINTS PULLED FUZZY];
+            ProjectSplats        Compute project/project_splats        ""    [Project]           Samples   [NO_SAMPLES AS_POINTS PULLED NO_DEPTHS];
+            WalkSplats           Compute project/walk_splats           ""    [Project]           Samples   [NO_SAMPLES AS_POINTS PULLED NO_DEPTHS];
             ProjectTriangles     Compute project/project_triangles     ""    [Project]           Triangles [NO_TRIANGLES];
             RasteriseTriangles   Raster  project/rasterise_triangles   ""    [Project]           Triangles [NO_TRIANGLES WALKS];
             WalkTriangles        Compute project/walk_triangles        ""    [Project]           Triangles [NO_TRIANGLES RASTERISES];
@@ -42,27 +43,38 @@ macro_rules! pass_table {
             DepthPyramid         Compute select/depth_pyramid          ""    [Project Blend]     Frame     [NOTHING_TO_HIDE FEW_CHUNKS DRAWS_HIDDEN];
             CullHidden           Compute select/cull_hidden            ""    [Project Blend]     Frame     [NOTHING_TO_HIDE FEW_CHUNKS DRAWS_HIDDEN];
             ProjectSamplesId     Compute project/project_samples       "_id" [Ids]               Frame     [NO_SAMPLES AS_SPLATS AS_DISCS WIDE];
-            ProjectSplatsId      Compute project/project_splats        "_id" [Ids]               Samples   [NO_SAMPLES AS_POINTS PULLED FUZZY WIDE];
-            WalkSplatsId         Compute project/walk_splats           "_id" [Ids]               Samples   [NO_SAMPLES AS_POINTS PULLED FUZZY WIDE];
+            ProjectSplatsId      Compute project/project_splats        "_id" [Ids]               Samples   [NO_SAMPLES AS_POINTS PULLED NO_DEPTHS WIDE];
+            WalkSplatsId         Compute project/walk_splats           "_id" [Ids]               Samples   [NO_SAMPLES AS_POINTS PULLED NO_DEPTHS WIDE];
             ProjectTrianglesId   Compute project/project_triangles     "_id" [Ids]               Triangles [NO_TRIANGLES WIDE];
             RasteriseTrianglesId Raster  project/rasterise_triangles   "_id" [Ids]               Triangles [NO_TRIANGLES WIDE WALKS];
             WalkTrianglesId      Compute project/walk_triangles        "_id" [Ids]               Triangles [NO_TRIANGLES WIDE RASTERISES];
             ProjectLinesId       Compute project/project_lines         "_id" [Ids]               Lines     [NO_LINES WIDE];
             WalkLinesId          Compute project/walk_lines            "_id" [Ids]               Lines     [NO_LINES WIDE];
-            BlendSplats          Compute reconstruct/blend_splats      ""    [Blend]             Samples   [NO_SAMPLES AS_POINTS PULLED FUZZY OPAQUE IDS];
-            BlendWalked          Compute reconstruct/blend_walked      ""    [Blend]             Samples   [NO_SAMPLES AS_POINTS PULLED FUZZY OPAQUE IDS];
+            BlendSplats          Compute reconstruct/blend_splats      ""    [Blend]             Samples   [NO_SAMPLES AS_POINTS PULLED NO_DEPTHS OPAQUE IDS];
+            BlendWalked          Compute reconstruct/blend_walked      ""    [Blend]             Samples   [NO_SAMPLES AS_POINTS PULLED NO_DEPTHS OPAQUE IDS];
             FuzzySplats          Compute reconstruct/fuzzy_splats      ""    [Fuzzy]             Samples   [NO_SAMPLES AS_POINTS NOT_FUZZY];
             FuzzyWalked          Compute reconstruct/fuzzy_walked      ""    [Fuzzy]             Samples   [NO_SAMPLES AS_POINTS NOT_FUZZY];
+            CountSplats          Compute reconstruct/count_splats      ""    [Paint]             Samples   [NO_SAMPLES NOT_PAINTED];
+            NumberSplats         Compute reconstruct/number_splats     ""    [Paint]             Frame     [NO_SAMPLES NOT_PAINTED];
+            ListSplats           Compute reconstruct/list_splats       ""    [Paint]             Samples   [NO_SAMPLES NOT_PAINTED];
+            CountKeys            Compute reconstruct/count_keys        ""    [Paint]             Digit     [NO_SAMPLES NOT_PAINTED];
+            SumCounts            Compute reconstruct/sum_counts        ""    [Paint]             Digit     [NO_SAMPLES NOT_PAINTED];
+            MoveKeys             Compute reconstruct/move_keys         ""    [Paint]             Digit     [NO_SAMPLES NOT_PAINTED];
+            CountTiles           Compute reconstruct/count_tiles       ""    [Paint]             Frame     [NO_SAMPLES NOT_PAINTED];
+            SumCountsTiles       Compute reconstruct/sum_counts        "_tiles" [Paint]          Frame     [NO_SAMPLES NOT_PAINTED];
+            MoveTiles            Compute reconstruct/move_tiles        ""    [Paint]             Frame     [NO_SAMPLES NOT_PAINTED];
+            PaintSplats          Compute reconstruct/paint_splats      ""    [Paint]             Frame     [NO_SAMPLES NOT_PAINTED];
             RecordSamples        Compute reconstruct/record_samples    ""    [PullPush]          Samples   [NO_SAMPLES NOT_PULLED];
             Pull                 Compute reconstruct/pull              ""    [PullPush]          Coarser   [NO_SAMPLES NOT_PULLED];
             Push                 Compute reconstruct/push              ""    [PullPush]          Finer     [NO_SAMPLES NOT_PULLED];
             ResolveFuzzy         Compute resolve/resolve_fuzzy         ""    [Resolve]           Frame     [NO_SAMPLES AS_POINTS NOT_FUZZY];
             ResolvePulled        Compute resolve/resolve_pulled        ""    [Resolve]           Frame     [NO_SAMPLES NOT_PULLED];
-            ResolveSplats        Compute resolve/resolve_splats        ""    [Resolve]           Frame     [NO_SAMPLES AS_POINTS PULLED FUZZY OPAQUE];
+            ResolveSplats        Compute resolve/resolve_splats        ""    [Resolve]           Frame     [NO_SAMPLES AS_POINTS PULLED NO_DEPTHS OPAQUE];
             ResolveSamples       Compute resolve/resolve_samples       ""    [Resolve]           Frame     [NO_SAMPLES PULLED BLENDED];
             ResolveTriangles     Compute resolve/resolve_triangles     ""    [Resolve]           Frame     [NO_TRIANGLES];
             ResolveLines         Compute resolve/resolve_lines         ""    [Resolve]           Frame     [NO_LINES];
             WriteOutput          Compute resolve/write_output          ""    [Resolve]           Frame     [NOT_COLOR NO_EFFECT];
+            CompositeSplats      Compute resolve/composite_splats      ""    [Resolve]           Frame     [NO_SAMPLES NOT_PAINTED];
             ProjectTrianglesLayers      Compute project/project_triangles   "_layers"    [Layers]   Triangles [OPAQUE_SCENE NOT_COLOR];
             RasteriseTrianglesLayers    Raster  project/rasterise_triangles "_layers"    [Layers]   Triangles [OPAQUE_SCENE NOT_COLOR WALKS];
             WalkTrianglesLayers         Compute project/walk_triangles      "_layers"    [Layers]   Triangles [OPAQUE_SCENE NOT_COLOR RASTERISES];
@@ -91,6 +103,8 @@ pub enum Stage {
     Blend,
     /// Blends and depth-tests splats in a single pass.
     Fuzzy,
+    /// Sorts splats by their distance and paints them over each other.
+    Paint,
     /// Fills the gaps between samples from coarser levels of the image.
     PullPush,
     /// Computes the pixels.
@@ -106,12 +120,13 @@ pub enum Stage {
 }
 
 impl Stage {
-    pub const ALL: [Stage; 11] = [
+    pub const ALL: [Stage; 12] = [
         Stage::Select,
         Stage::Project,
         Stage::Ids,
         Stage::Blend,
         Stage::Fuzzy,
+        Stage::Paint,
         Stage::PullPush,
         Stage::Resolve,
         Stage::Layers,
@@ -137,9 +152,11 @@ pub enum Per {
     Coarser,
     /// Each level but the image itself, from the coarsest to the finest.
     Finer,
+    /// Each digit of the keys that splats are sorted by. Consecutive passes take turns digit by digit.
+    Digit,
 }
 
-/// Makes a [`Per`] of the word in the table: `Frame`, `Coarser`, `Finer`, or a kind of geometry.
+/// Makes a [`Per`] of the word in the table: `Frame`, `Coarser`, `Finer`, `Digit`, or a kind of geometry.
 macro_rules! per {
     (Frame) => {
         Per::Frame
@@ -149,6 +166,9 @@ macro_rules! per {
     };
     (Finer) => {
         Per::Finer
+    };
+    (Digit) => {
+        Per::Digit
     };
     ($kind:ident) => {
         Per::Segment(GeometryKind::$kind)
@@ -198,8 +218,9 @@ reasons! {
     AS_SPLATS: "samples are drawn as splats",
         |f| f.frame.reconstruction.is_splats() && f.frame.reconstruction.pull_push().is_none();
     OPAQUE: "splats are not blended", |f| f.frame.reconstruction.weighted().is_none();
-    FUZZY: "splats are blended in a single pass", |f| f.frame.reconstruction.fuzzy().is_some();
+    NO_DEPTHS: "splats are drawn after all else, and leave no depths", |f| f.frame.reconstruction.without_depths().is_some();
     NOT_FUZZY: "splats are not blended in a single pass", |f| f.frame.reconstruction.fuzzy().is_none();
+    NOT_PAINTED: "splats are not painted over each other", |f| f.frame.reconstruction.painted().is_none();
     PULLED: "pull-push fills the gaps between samples", |f| f.frame.reconstruction.pull_push().is_some();
     NOT_PULLED: "gaps between samples are not filled by pull-push",
         |f| f.frame.reconstruction.pull_push().is_none();

@@ -171,6 +171,8 @@ pub struct GpuStats {
     pub segments_tested: [u32; 2],
     pub segments_listed: u32,
     pub pixels_of_segments: u32,
+    pub splats_wanted: u32,
+    pub paint_cut: u32,
 }
 
 /// `Material` of `shared/material.wgsl`.
@@ -291,6 +293,8 @@ pub struct GpuFrame {
     pub field: u32,
     pub field_count: u32,
     pub line_radius: f32,
+    pub paint_capacity: u32,
+    pub unused: [u32; 3],
     pub clips: [GpuClipBox; MOST_BOXES],
 }
 

@@ -181,6 +181,11 @@ impl ResidentScene {
         self.pages.iter().filter(|page| page.kind.kind == GeometryKind::Samples).count() as u32
     }
 
+    /// Whether some samples carry clip lines.
+    pub fn has_clip_lines(&self) -> bool {
+        self.pages.iter().any(|page| page.kind.clipped)
+    }
+
     /// Entries of a view, padding included, and those that may be none; `capacity`: what there is room for where a frame lists
     /// its own.
     pub fn entries(&self, capacity: u32) -> (u32, u32) {

@@ -38,7 +38,10 @@ pub use effects::{Discs, EyeDome};
 pub use instance_path::{InstancePath, InstancePaths, PathStep};
 pub use load::{load, load_path, load_within, parse, parse_path};
 pub use path::{CameraPath, Ease, Interpolation, PathKey, PathSampler};
-pub use splats::{Blend, Filter, PullPush, PullPushWeights, Shading, Splats};
+pub use splats::{
+    Blend, Filter, PAINT_LAYERS, PAINT_WIDTH_PERCENT, Painted, Painting, PullPush, PullPushWeights,
+    Shading, Splats,
+};
 pub use unique::{DuplicateKey, check_keys};
 pub use up::{Up, UpForm};
 pub use validate::{LARGEST_COORDINATE, LARGEST_SCALE};

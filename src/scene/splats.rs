@@ -107,6 +107,44 @@ pub struct PullPush {
     pub weights: PullPushWeights,
 }
 
+/// What is blended when splats are painted (Coconu & Hege 2002, §5.4).
+#[derive(
+    Clone,
+    Copy,
+    Debug,
+    Default,
+    PartialEq,
+    Eq,
+    Hash,
+    Serialize,
+    Deserialize,
+    utoipa::ToSchema,
+    clap::ValueEnum,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum Painting {
+    /// Surfaces: splats at the same depth are averaged first (Zwicker et al. 2004, §6)
+    #[default]
+    Surfaces,
+    /// Each splat by itself, as in the paper: faster, but the front splats of a surface get the largest weights
+    Splats,
+}
+
+/// Parameters of splats that are painted over each other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Painted {
+    pub splats: Splats,
+    pub each: Painting,
+}
+
+/// Number of layers of a painted splat's Gaussian whose combined opacity is that of the splat (compare Coconu & Hege 2002, §5.4). With one
+/// layer, a third of the background would show through between four samples of a regular grid.
+pub const PAINT_LAYERS: u32 = 5;
+
+/// Width of what a painted splat covers, in percent of its kernel. Kernels end at the corners of their cells; surfaces of random samples
+/// would be open there.
+pub const PAINT_WIDTH_PERCENT: u32 = 115;
+
 /// How a scene's samples are drawn as splats.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Splats {

@@ -54,8 +54,12 @@ fn brightness(studio: &Studio, settings: Settings, scale: u32) -> f64 {
 
 fn compare(studio: &Studio, what: &str, slack: f64) {
     let truth = brightness(studio, Settings::drawn_as(Reconstruct::Points), 8);
-    for reconstruct in [Reconstruct::Points, Reconstruct::Splats, Reconstruct::Fuzzy] {
+    let methods =
+        [Reconstruct::Points, Reconstruct::Splats, Reconstruct::Fuzzy, Reconstruct::Painted];
+    for reconstruct in methods {
         let found = brightness(studio, spt(1.0, reconstruct), 1) / truth;
+        // Less shines through a crown than between its leaves: a splat hides as much as five.
+        let slack = if reconstruct == Reconstruct::Painted { 1.4 * slack } else { slack };
         println!("{what}, {reconstruct:?}: {found:.3}");
         assert!((found - 1.0).abs() < slack, "{what}, {reconstruct:?}: {found:.3}");
     }

@@ -135,6 +135,7 @@ fn settings() -> Vec<Settings> {
         small,
         Settings { filter: Some(Filter::Exact), blend: Some(Blend::Opaque), ..splats },
         Settings { reconstruct: Reconstruct::Fuzzy, ..splats },
+        Settings { reconstruct: Reconstruct::Painted, ..splats },
         Settings { filter: Some(Filter::Affine), shading: Some(Shading::Splat), ..small },
         Settings { error_mode: ErrorMode::Split, prefilter: Some(false), ..small },
     ]
@@ -212,7 +213,7 @@ fn every_pass_is_recorded_by_some_frame_in_the_order_of_the_table() {
         let shaped = Settings { edl: Edl::On, ..Settings::drawn_as(Reconstruct::Points) };
         let fine =
             Settings { antialias: Antialias::Parts4, ..Settings::drawn_as(Reconstruct::Points) };
-        let rows = settings().into_iter().take(9).chain([shaped, fine]);
+        let rows = settings().into_iter().take(10).chain([shaped, fine]);
         let glass = Settings::drawn_as(Reconstruct::Points);
         let frames = rows.map(|settings| ("rows", settings)).chain([("glass", glass)]);
         for (scene, settings) in frames {

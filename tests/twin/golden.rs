@@ -143,6 +143,18 @@ fn a_single_pass() {
 }
 
 #[test]
+fn painted_splats() {
+    let painted = Settings::drawn_as(Reconstruct::Painted);
+    for (scene, camera, lod) in [("town", "square", Lod::Full), ("plaza", "walk", Lod::Spt)] {
+        let case = Case::committed(scene);
+        let view = case.view(camera, WIDTH, HEIGHT);
+        let frame = case.draw_wide(&view, Settings { lod, ..painted });
+        assert_eq!(frame.receipt.settings.instead_because, None);
+        hold(&format!("{scene}-{camera}-painted"), &frame.color);
+    }
+}
+
+#[test]
 fn pull_push_and_lines() {
     compare_with("town", &["square"], Settings::drawn_as(Reconstruct::PullPush), "-pulled");
     let points = Settings::drawn_as(Reconstruct::Points);

@@ -23,6 +23,7 @@ mod lights;
 mod lines;
 mod materials;
 mod orthographic;
+mod painted;
 mod point_size;
 mod precision;
 mod pull_push;

@@ -79,15 +79,19 @@ pub fn check(
         && found.holes <= rim
         && found.leaks <= rim;
     if !fits {
-        for (what, rgba) in [("oracle", twin.to_rgba8()), ("engine", frames.color.clone())] {
-            let (width, height) = (view.width, view.height);
-            let image = FrameImage::Color { width, height, rgba };
-            let name = format!("splats-{}-{what}.png", case.id);
-            std::fs::write(folder().join(&name), png::encode(&image).unwrap().bytes).unwrap();
-        }
+        save_both(case, view, twin.to_rgba8(), frames.color.clone());
         panic!("{}: {settings:?} against {against:?}: {found:?}, least {least}", case.id);
     }
     frames
+}
+
+/// Writes the images of a failure.
+pub fn save_both(case: &Case, view: &View, oracle: Vec<[u8; 4]>, engine: Vec<[u8; 4]>) {
+    for (what, rgba) in [("oracle", oracle), ("engine", engine)] {
+        let image = FrameImage::Color { width: view.width, height: view.height, rgba };
+        let name = format!("splats-{}-{what}.png", case.id);
+        std::fs::write(folder().join(&name), png::encode(&image).unwrap().bytes).unwrap();
+    }
 }
 
 /// A sphere of samples with outward normals.

@@ -307,7 +307,7 @@ fn methods_without_depths_are_replaced() {
     });
     let files = [("m.glb", glb.finish()), ("c.ply", cloud.ply())];
     let case = Case::new("glass-and-points", &files, &scene);
-    for method in [Reconstruct::Fuzzy, Reconstruct::PullPush] {
+    for method in [Reconstruct::Fuzzy, Reconstruct::Painted, Reconstruct::PullPush] {
         let receipt = case.draw_wide(&view(), Settings::drawn_as(method)).receipt;
         assert!(receipt.settings.instead_because.is_some(), "{method:?}");
         assert!(receipt.translucent.is_some(), "{method:?}");

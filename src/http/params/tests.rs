@@ -1,6 +1,6 @@
 use super::*;
 use crate::plan::{Lod, Reconstruct};
-use crate::scene::{Blend, Filter, Shading};
+use crate::scene::{Blend, Filter, Painting, Shading};
 
 fn request(query: &str) -> Result<FrameRequest, Problem> {
     FrameParams::from_query(Some(query))?.request("s", ImageFormat::Png, Instant::now())
@@ -166,7 +166,7 @@ fn values_are_checked() {
 #[test]
 fn what_is_accepted_comes_from_the_type() {
     assert_eq!(fault("output=x").2, "color, depth, normal, id");
-    assert_eq!(fault("reconstruct=x").2, "auto, points, splats, fuzzy, pull_push");
+    assert_eq!(fault("reconstruct=x").2, "auto, points, splats, fuzzy, painted, pull_push");
     for (query, accepted) in [
         ("filter=x", "affine, perspective, exact"),
         ("prefilter=yes", "true or false"),
@@ -241,6 +241,16 @@ fn settings_of_splats_need_splats() {
     for given in ["blend=weighted", "shading=deferred"] {
         let (parameter, _, accepted) = fault(&format!("reconstruct=fuzzy&{given}"));
         assert!(given.starts_with(&parameter) && accepted.contains("`reconstruct=splats`"));
+    }
+    // Painted splats are always filtered.
+    let painted = request("reconstruct=painted&painted_as=splats&filter=exact").unwrap().settings;
+    assert_eq!((painted.reconstruct, painted.painted_as), (Reconstruct::Painted, Painting::Splats));
+    for (query, at) in [
+        ("reconstruct=painted&prefilter=false", "prefilter"),
+        ("reconstruct=painted&blend=opaque", "blend"),
+        ("reconstruct=splats&painted_as=splats", "painted_as"),
+    ] {
+        assert_eq!(fault(query).0, at);
     }
     let (parameter, _, accepted) = fault("reconstruct=splats&blend=fuzzy");
     assert_eq!(parameter, "blend");

@@ -1,21 +1,32 @@
-//! A surface from the samples that were projected: weighted sums of splats in integers, whose order does not matter, or a pyramid of the image.
+//! A surface from the samples that were projected: weighted sums of splats in integers, whose order does not matter, splats that are sorted
+//! and painted over each other, or a pyramid of the image.
 
 pub mod blend_splats;
 pub mod blend_walked;
+pub mod count_keys;
+pub mod count_splats;
+pub mod count_tiles;
 pub mod fuzzy_splats;
 pub mod fuzzy_walked;
+pub mod list_splats;
+pub mod move_keys;
+pub mod move_tiles;
+pub mod number_splats;
+pub mod paint_splats;
 pub mod pull;
 pub mod push;
 pub mod record_samples;
+pub mod sum_counts;
 
 use super::frame::output_number;
 use super::pipelines::Constants;
 use super::project::{band_constant, walk};
 use super::recorder::{Call, Launch, Recorder};
 use super::samples::{is_clipped, is_tree, node_constants, paint_constants, splat_constants};
+use super::scratch::sort_workers;
 use super::shaders::Choices;
 use crate::gpu::shader::ShaderError;
-use crate::plan::{Output, Pass};
+use crate::plan::{Output, Pass, Reconstruction};
 use crate::scene::recolor::Recolor;
 use crate::scene::{PullPushWeights, Shading};
 
@@ -44,6 +55,16 @@ pub fn walk_listed(recorder: &mut Recorder) -> Result<(), ShaderError> {
     constants.push(band_constant(recorder));
     let (choices, segments, launch) = (choices(recorder), &[recorder.segment], walk(recorder));
     recorder.compute(Call { choices, constants, segments, launch })
+}
+
+/// Records a pass over the list of painted splats, a share a thread; `reads_records`: it looks at their boxes.
+fn over_shares(recorder: &mut Recorder, reads_records: bool) -> Result<(), ShaderError> {
+    let (workers, lanes) = (sort_workers(recorder.context.gpu.is_cpu), recorder.lanes());
+    let mut constants = vec![("WORKERS", workers), lanes];
+    if reads_records {
+        constants.push(("CLIPPED", u32::from(recorder.scene.has_clip_lines())));
+    }
+    recorder.rows(workers / lanes.1, 1, constants)
 }
 
 /// Overrides of `shared/patches`.
@@ -93,10 +114,12 @@ fn constants(recorder: &Recorder, walked: bool) -> Constants {
         ("OVERRIDES", u32::from(looks.overrides)),
         ("DEFERRED", u32::from(recorder.task.is_deferred())),
     ];
-    if recorder.task.plan.runs(Pass::FuzzySplats) {
-        constants.push(("HIDES", u32::from(recorder.task.plan.runs(Pass::ProjectTriangles))));
-    } else {
-        constants.push(("CROWDED", u32::from(recorder.scene.sample_count >= SUMS_ROOM)));
+    match recorder.task.reconstruction {
+        Reconstruction::Fuzzy(_) => {
+            constants.push(("HIDES", u32::from(recorder.task.plan.runs(Pass::ProjectTriangles))));
+        }
+        Reconstruction::Painted(_) => constants.push(("PAINTED", 1)),
+        _ => constants.push(("CROWDED", u32::from(recorder.scene.sample_count >= SUMS_ROOM))),
     }
     if is_lit(recorder) {
         constants.extend(super::resolve::light_constants(looks, lights));

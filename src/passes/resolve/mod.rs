@@ -2,6 +2,7 @@
 
 pub mod average;
 pub mod composite_layers;
+pub mod composite_splats;
 pub mod identify;
 pub mod resolve_fuzzy;
 pub mod resolve_lines;

@@ -4,7 +4,9 @@
 use crate::gpu::shader::ShaderError;
 use crate::passes::Levels;
 use crate::passes::recorder::Recorder;
-use crate::passes::scratch::{BACKGROUND_BYTES, PATCH_BYTES, SLABS_BYTES};
+use crate::passes::scratch::{
+    BACKGROUND_BYTES, PAINTED_BYTES, PATCH_BYTES, SLABS_BYTES, cursors_bytes,
+};
 use crate::plan::Pass;
 use crate::residency::layout::GpuStats;
 
@@ -25,6 +27,16 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     buffers.extend(scratch.sums[..task.sums()].iter().map(|sums| (sums, Some(pixels * 8))));
     if task.plan.runs(Pass::FuzzySplats) {
         buffers.push((&scratch.layers, Some(pixels * SLABS_BYTES)));
+    }
+    if task.plan.runs(Pass::PaintSplats) {
+        // Places where nothing is drawn have no key.
+        let bytes = u64::from(task.paint_capacity) * 8;
+        buffers.push((&scratch.paint_keys[0], Some(bytes)));
+        let cursors = cursors_bytes(height, recorder.context.gpu.is_cpu);
+        buffers.push((&scratch.paint_cursors, Some(cursors)));
+        buffers.push((&scratch.painted, Some(pixels * PAINTED_BYTES)));
+        buffers.push((&scratch.paint_sums, Some(pixels * PAINTED_BYTES)));
+        buffers.push((&scratch.paint_ends, Some(pixels * 8)));
     }
     if task.plan.runs(Pass::Pull) {
         // Pixels without a sample have no patch; coarser levels are written whole.

@@ -4,14 +4,14 @@ use crate::bake::pack::GeometryKind;
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::{Call, Launch, Recorder};
 use crate::passes::shaders::Choices;
-use crate::plan::{Pass, Stage};
+use crate::plan::Stage;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     // Samples that have been drawn are asked once more before they are blended, now that all that may hide them is drawn.
     let again = recorder.stage == Stage::Blend;
     let is_asked = |kind: &GeometryKind| match kind {
         // Splats that are blended in a single pass are drawn wherever they are.
-        GeometryKind::Samples => !recorder.task.plan.runs(Pass::FuzzySplats),
+        GeometryKind::Samples => recorder.task.reconstruction.without_depths().is_none(),
         GeometryKind::Triangles | GeometryKind::Lines => !again,
     };
     let kinds: Vec<GeometryKind> = GeometryKind::ALL.iter().copied().filter(is_asked).collect();

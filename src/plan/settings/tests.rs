@@ -116,7 +116,7 @@ fn what_does_not_go_together_is_refused() {
         refused("error_mode=split"),
         (
             "error_mode",
-            "`unified`, or another value with `lod=spt` and `reconstruct=splats`, `fuzzy` or `auto`"
+            "`unified`, or another value with `lod=spt` and `reconstruct=splats`, `fuzzy`, `painted` or `auto`"
                 .to_owned()
         )
     );

@@ -91,7 +91,9 @@ impl Settings {
             scene.counts.samples > 0 && scene.counts.triangles == 0 && !scene.has_normals;
         let is_used = match self.edl {
             Edl::Auto => {
-                is_shapeless && scene.lights == 0 && self.reconstruct != Reconstruct::Fuzzy
+                let has_depths =
+                    !matches!(self.reconstruct, Reconstruct::Fuzzy | Reconstruct::Painted);
+                is_shapeless && scene.lights == 0 && has_depths
             }
             Edl::On => true,
             Edl::Off => false,
@@ -384,10 +386,10 @@ impl utoipa::ToSchema for Background {}
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
 pub enum Edl {
-    /// For samples that have no normals and are not lit, except with `reconstruct=fuzzy`
+    /// For samples that have no normals and are not lit, except with `reconstruct=fuzzy` and `painted`
     #[default]
     Auto,
-    /// Always; `reconstruct=fuzzy` is drawn in three passes instead
+    /// Always; `reconstruct=fuzzy` and `painted` are drawn in three passes instead
     On,
     /// Never
     Off,
@@ -536,6 +538,9 @@ pub enum Reconstruct {
     Splats = 1,
     /// Splats that are blended and depth-tested in a single pass (Dachsbacher et al. 2003, §5): faster, coarser in weights and depths.
     Fuzzy = 2,
+    /// Splats that are sorted by distance and blended in that order (Coconu & Hege 2002): smooth outlines, and what is behind thin
+    /// things shows through.
+    Painted = 5,
     /// One pixel a sample, and gaps filled from coarser levels of the image (Marroquim et al. 2008): costs what the pixels cost, however
     /// large the splats would be.
     PullPush = 4,

@@ -144,6 +144,7 @@ fn records_match_the_shaders() {
                 field,
                 field_count,
                 line_radius,
+                paint_capacity,
                 clips
             ),
         ],
@@ -252,6 +253,8 @@ fn counters_match_word_by_word() {
                     ("segments_tested_lo", std::mem::offset_of!(GpuStats, segments_tested)),
                     ("segments_listed", std::mem::offset_of!(GpuStats, segments_listed)),
                     ("pixels_of_segments", std::mem::offset_of!(GpuStats, pixels_of_segments)),
+                    ("splats_wanted", std::mem::offset_of!(GpuStats, splats_wanted)),
+                    ("paint_cut", std::mem::offset_of!(GpuStats, paint_cut)),
                 ] {
                     assert_eq!(offset(member), place);
                 }

@@ -1,0 +1,24 @@
+// What has been painted of each pixel, from front to back.
+
+// Of splats at the same depth, the weighted mean is laid over what lies behind; else each splat by itself.
+override SURFACES: bool = true;
+
+// Colours multiplied by alpha, and alpha.
+@group(0) @binding(2) var<storage, read_write> painted: array<vec4<f32>>;
+// The surface that is being painted: weighted colours and the weight, which is negative once nothing shines through the pixel.
+@group(0) @binding(9) var<storage, read_write> paint_sums: array<vec4<f32>>;
+// Two numbers of that surface. Its end is one over a depth, whose lowest bits say which side is seen. The other is how much shines through.
+@group(0) @binding(10) var<storage, read_write> paint_ends: array<vec2<f32>>;
+
+// Behind this alpha, even white changes no byte of a pixel.
+const OPAQUE: f32 = 0.9998;
+
+// Lays a colour under what is there.
+fn under(over: vec4<f32>, color: vec3<f32>, alpha: f32) -> vec4<f32> {
+    return over + vec4<f32>(color, 1.0) * (alpha * (1.0 - over.a));
+}
+
+// What a pixel shows of a surface.
+fn with_surface(over: vec4<f32>, sums: vec4<f32>, through: f32) -> vec4<f32> {
+    return select(over, under(over, sums.rgb / sums.a, 1.0 - through), sums.a > 0.0);
+}

@@ -1,0 +1,44 @@
+// Splats that are painted over each other (Coconu & Hege 2002). Each has a place, which follows from its slot and its number there and from
+// nothing else; the record at that place says how it is drawn, and the key how far away it is.
+//
+// The image has TILES × TILES tiles. Once splats are sorted, each tile has a list of those that reach into it, the nearest first.
+
+const TILES: u32 = 16u;
+
+// What passes over painted splats tell each other.
+struct PaintList {
+    // Places, and splats that are drawn.
+    places: u32,
+    painted: u32,
+    // The largest key, and the complement of the least one.
+    farthest: atomic<u32>,
+    nearest: atomic<u32>,
+    // Where the lists of the tiles begin, row by row, and where the last one ends.
+    tiles: array<u32, 257>,
+}
+
+// A key and a place. Keys are the bits of the distance from the eye, and 0 where nothing is drawn. Distances, unlike depths, stay the same
+// when the camera turns.
+const NO_KEY: u32 = 0u;
+
+// Wanted by a frame whose splats cannot be sorted, whatever the room.
+const TOO_MANY: u32 = 0xffffffffu;
+
+// Vectors of a record: of all splats, and of those with clip lines.
+const RECORD: u32 = 5u;
+const CLIPPED_RECORD: u32 = 7u;
+// Some splats of the scene have clip lines.
+override CLIPPED: bool = false;
+
+fn record_of(place: u32) -> u32 {
+    return place * select(RECORD, CLIPPED_RECORD, CLIPPED);
+}
+
+// The box of a record: first and last pixels.
+fn box_of(words: vec2<u32>) -> vec4<u32> {
+    return vec4<u32>(words.x & 0xffffu, words.x >> 16u, words.y & 0xffffu, words.y >> 16u);
+}
+
+fn tile_size() -> vec2<u32> {
+    return (frame.size_px + vec2<u32>(TILES - 1u)) / TILES;
+}
