@@ -5,12 +5,13 @@
 //!include shared/splat
 //!include shared/clip_none
 //!include shared/sample_splats
+//!include shared/painted
 //!include shared/gather
 
 const NARROW: bool = false;
 
 @group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
-@group(0) @binding(6) var<storage, read_write> paint_places: array<u32>;
+@group(0) @binding(5) var<storage, read_write> paint_list: PaintList;
 @group(2) @binding(1) var<storage, read> runs: array<Run>;
 @group(2) @binding(2) var<uniform> segment: SegmentUse;
 
@@ -28,7 +29,7 @@ fn count_splats(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocati
     let tally = gather(group, lane);
     let run = runs[frame.first_run + segment.index];
     let at = (run.first_slot + index) * LANES + lane;
-    if index < run.count && at < arrayLength(&paint_places) {
-        paint_places[at] = tally.scattered;
+    if index < run.count && at < arrayLength(&paint_list.begins) {
+        paint_list.begins[at] = tally.scattered;
     }
 }

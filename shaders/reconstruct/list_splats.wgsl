@@ -16,7 +16,6 @@
 const NARROW: bool = false;
 @group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
 @group(0) @binding(5) var<storage, read_write> paint_list: PaintList;
-@group(0) @binding(6) var<storage, read> paint_places: array<u32>;
 @group(0) @binding(7) var<storage, read_write> paint_records: array<vec4<u32>>;
 @group(0) @binding(8) var<storage, read_write> sort_to: array<vec2<u32>>;
 @group(2) @binding(1) var<storage, read> runs: array<Run>;
@@ -90,7 +89,7 @@ fn take(slot: SplatSlot, i: u32, tally: ptr<function, Tally>) {
     let centre = camera_place(splat_centre(slot, i));
     let distance = select(length(centre), abs(centre.z), ORTHOGRAPHIC);
     let key = bitcast<u32>(clamp(distance, 1e-30, 1e30));
-    sort_to[own_place] = vec2<u32>(key, own_place);
+    sort_to[own_place] = vec2<u32>(key, with_tiles(own_place, tiles_of_box(vec4<u32>(low, high))));
     (*tally).farthest = max((*tally).farthest, key);
     (*tally).nearest = max((*tally).nearest, ~key);
 }
@@ -102,7 +101,7 @@ fn list_splats(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
     }
     begin_view(group.z);
     let index = runs[frame.first_run + segment.index].first_slot + group.y * DISPATCH_ROW + group.x;
-    place = paint_places[min(index * LANES + lane, arrayLength(&paint_places) - 1u)];
+    place = paint_list.begins[min(index * LANES + lane, arrayLength(&paint_list.begins) - 1u)];
     let tally = gather(group, lane);
     if TREE && tally.looked_at != 0u {
         count_samples(tally.looked_at);

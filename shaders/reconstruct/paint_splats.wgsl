@@ -8,6 +8,7 @@
 // came, and the next launch goes on from there. If none is left, the frame is drawn again with more.
 //!include shared/frame
 //!include shared/scene
+//!include shared/linear
 //!include shared/clipping
 //!include shared/painted
 //!include shared/kept
@@ -33,10 +34,6 @@ override ROUNDS: u32 = 60000u;
 @group(0) @binding(7) var<storage, read> paint_records: array<vec4<u32>>;
 // How many splats of its list a thread has painted, and how many of its pixels are opaque.
 @group(0) @binding(8) var<storage, read_write> paint_cursors: array<vec2<u32>>;
-
-fn linear(form: vec3<f32>, d: vec2<f32>) -> f32 {
-    return fma(form.y, d.x, fma(form.z, d.y, form.x));
-}
 
 fn share_of_16(bits: u32) -> f32 {
     return f32(bits & 0xffffu) / 65535.0;
@@ -113,7 +110,7 @@ fn paint(splat: PaintedSplat, touch: Touch, pixel: u32) -> bool {
     let share = vec4<f32>(splat.color, 1.0) * touch.weight;
     let kept = paint_ends[pixel];
     let bits = bitcast<u32>(kept.x);
-    let beside = touch.inverse >= bitcast<f32>(bits & ~FACING_BITS) && ((bits | splat.facing) & FACING_BITS) != FACING_BITS;
+    let beside = touch.inverse >= bitcast<f32>(bits & ~FACING_BITS) && !shows_other_side(bits, splat.facing);
     if sums.a > 0.0 && beside {
         paint_sums[pixel] = sums + share;
         paint_ends[pixel] = vec2<f32>(kept.x, kept.y * (1.0 - alpha));
@@ -153,7 +150,7 @@ fn paint_splats(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups
     var rounds = 0u;
     let most = (size.x / LANES + 2u) * (BAND + 1u);
     while at < list_end && filled < own_pixels && rounds + most < ROUNDS {
-        let record = record_of(paint_order[at].y);
+        let record = record_of(paint_order[at].y & PLACE);
         at++;
         rounds++;
         let words = paint_records[record + 3u];

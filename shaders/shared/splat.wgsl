@@ -35,6 +35,7 @@ override PAINTED: bool = false;
 const AFFINE: u32 = 0u;
 const EXACT: u32 = 2u;
 
+//!include shared/linear
 //!include shared/clipping
 //!include shared/kept
 //!include shared/kernel
@@ -57,11 +58,6 @@ const FARTHEST: f32 = 1e30;
 const GAP: f32 = 0.0000019073486;
 // Standard deviations below this many pixels are as good as none.
 const THINNEST: f32 = 1e-15;
-
-// A linear function of the offset from the splat's reference: constant, slopes.
-fn linear(form: vec3<f32>, d: vec2<f32>) -> f32 {
-    return fma(form.y, d.x, fma(form.z, d.y, form.x));
-}
 
 fn cross_2d(a: vec2<f32>, b: vec2<f32>) -> f32 {
     return a.x * b.y - a.y * b.x;

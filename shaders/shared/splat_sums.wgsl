@@ -27,7 +27,7 @@ fn emit(splat: Splat, paint: Paint, pixel: u32, d: vec2<f32>, q: f32) -> bool {
     let kept = visibility[pixel].y;
     let visible = bitcast<f32>(kept & ~FACING_BITS);
     // Hidden, or the other side of what is seen: near its silhouette a surface's back lies within the offset.
-    if inverse < visible || ((kept | splat.facing) & FACING_BITS) == FACING_BITS {
+    if inverse < visible || shows_other_side(kept, splat.facing) {
         return true;
     }
     let weight = splat_weight(splat, q);

@@ -384,7 +384,9 @@ fn decide(
     };
     let too_many = match fuzzy {
         Some(_) => "more splats lie over one pixel than a single pass has room for",
-        None => "the frame has more splats, or larger ones, than can be sorted",
+        None => {
+            "the frame may show more splats, or larger ones, than can be sorted; lod=spt or a larger max_error_px draws fewer"
+        }
     };
     let in_three_passes =
         (blended.is_some() && refused.is_none()).then(|| way(&other, Some(too_many)));
@@ -457,13 +459,13 @@ fn no_blending(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str
     let (width, height) = drawn_size(request);
     let pixels = u64::from(width) * u64::from(height);
     if request.output != Output::Color {
-        return Some("it has nothing but colours");
+        return Some("splats that are drawn so have nothing but colours");
     }
     if request.settings.edl == Edl::On {
-        return Some("it has no depths for eye-dome lighting");
+        return Some("splats that are drawn so leave no depths for eye-dome lighting");
     }
     if request.settings.recolors() {
-        return Some("it has no surfaces to colour");
+        return Some("splats that are drawn so leave no surfaces to colour");
     }
     (pixels * SLABS_BYTES.max(PAINTED_BYTES) > adapter.max_binding_bytes)
         .then_some("the adapter cannot bind what it needs for so many pixels")

@@ -62,7 +62,6 @@ impl<'a> Names<'a> {
             "patches_3" => scratch.patches[3].buffer(),
             "layers" => scratch.layers.buffer(),
             "paint_list" => scratch.paint_list.buffer(),
-            "paint_places" => scratch.paint_places.buffer(),
             "paint_records" => scratch.paint_records.buffer(),
             "paint_counts" => scratch.paint_counts.buffer(),
             "paint_sums" => scratch.paint_sums.buffer(),

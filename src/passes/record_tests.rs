@@ -10,7 +10,7 @@ use crate::passes::recorder::DISPATCH_ROW;
 use crate::passes::resolve::TILE;
 use crate::passes::scratch::{
     BLOCK_PX, BLOCK_WORDS, CLIPPED_RECORD_BYTES, DEPTHS_BYTES, DIGIT_VALUES, MOST_ENTRIES,
-    RECORD_BYTES,
+    MOST_PAINTED, RECORD_BYTES,
 };
 use crate::passes::select::{compact, cull, place};
 use crate::passes::shaders::{Choices, composed, source};
@@ -222,6 +222,9 @@ fn painted_splats_fit_their_records() {
     assert_eq!(scalar(&sort, "VALUES"), DIGIT_VALUES);
     assert_eq!(scalar(&sort, "TILES").pow(2), DIGIT_VALUES);
     assert_eq!(scalar(&module("reconstruct/count_keys"), "DIGITS"), DIGITS);
+    assert_eq!(1 << scalar(&sort, "PLACE_BITS"), MOST_PAINTED);
+    assert_eq!(scalar(&sort, "PLACE"), MOST_PAINTED - 1);
+    assert_eq!(1 << scalar(&sort, "TILE_BITS"), DIGIT_VALUES);
     let records = [RECORD_BYTES, CLIPPED_RECORD_BYTES];
     let vectors = ["RECORD", "CLIPPED_RECORD"].map(|name| u64::from(scalar(&sort, name)));
     assert_eq!(records, vectors.map(|count| 16 * count));

@@ -25,10 +25,9 @@ pub struct Scratch {
     pub sums: [buffer::Scratch; 4],
     /// Words of splats that are blended in a single pass; see `shared/slabs`.
     pub layers: buffer::Scratch,
-    /// Splats that are painted over each other: their list, the places of what threads take of slots, their records, their keys before and after a digit is
+    /// Splats that are painted over each other: their list, their records, their keys before and after a digit is
     /// sorted, and what sorting counts; see `shared/painted` and `shared/digits`.
     pub paint_list: buffer::Scratch,
-    pub paint_places: buffer::Scratch,
     pub paint_records: buffer::Scratch,
     pub paint_keys: [buffer::Scratch; 2],
     pub paint_counts: buffer::Scratch,
@@ -111,12 +110,12 @@ const STRIDE_INITIAL: u32 = 64;
 const MOST_STRIDE: u32 = 1 << 15;
 /// Likewise for the splats that a frame paints.
 const PAINTED_INITIAL: u32 = 1 << 17;
-/// Most of them, whatever a binding holds: 500 MB.
-const MOST_PAINTED: u32 = 1 << 22;
+/// Most of them, whatever a binding holds: places have 22 bits, and records take 500 MB then.
+pub const MOST_PAINTED: u32 = 1 << 22;
 /// Size of a painted splat's record where some splats of the scene have clip lines, and where none have; as in `shared/painted`.
 pub const CLIPPED_RECORD_BYTES: u64 = 112;
 pub const RECORD_BYTES: u64 = 80;
-/// Size of the list of painted splats, and rows of what sorting counts: values of a digit, which are the tiles of the image as well.
+/// Size of the head of the list of painted splats, and rows of what sorting counts: values of a digit, which are the tiles of the image as well.
 const PAINT_LIST_BYTES: u64 = 16 + 4 * (DIGIT_VALUES as u64 + 1);
 pub const DIGIT_VALUES: u32 = 256;
 /// Bytes of what splats cover of a pixel: colour and alpha.
@@ -147,7 +146,6 @@ impl Scratch {
             sums: ["sums_0", "sums_1", "sums_2", "sums_3"].map(make),
             layers: make("layers"),
             paint_list: make("paint_list"),
-            paint_places: make("paint_places"),
             paint_records: make("paint_records"),
             paint_keys: ["paint_keys_0", "paint_keys_1"].map(make),
             paint_counts: make("paint_counts"),
@@ -236,10 +234,10 @@ impl Scratch {
         }
         if task.plan.runs(Pass::PaintSplats) {
             let splats = u64::from(self.paint_capacity);
-            self.paint_list.reserve(gpu, PAINT_LIST_BYTES);
             let slots = u64::from(scene.entries(self.entry_capacity).1);
             let counts = slots * u64::from(lanes(gpu.is_cpu)) * 4;
-            self.paint_places.reserve(gpu, counts.min(gpu.max_binding_bytes()));
+            let list = (PAINT_LIST_BYTES + counts).min(gpu.max_binding_bytes());
+            self.paint_list.reserve(gpu, list);
             self.paint_records.reserve(gpu, splats * record_bytes(scene.has_clip_lines()));
             for keys in &mut self.paint_keys {
                 keys.reserve(gpu, splats * 8);

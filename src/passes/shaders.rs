@@ -121,6 +121,7 @@ fragments![
     "shared/splat_fuzzy",
     "shared/painted",
     "shared/canvas",
+    "shared/linear",
     "shared/digits",
     "shared/keys",
     "shared/tiles",

@@ -55,7 +55,10 @@ fn eye_dome_light_needs_depths() {
     let used = &frames.receipt.settings;
     assert_eq!(used.applied.edl, Some(Edl::On));
     assert_eq!(used.applied.reconstruct, Some(Reconstruct::Splats));
-    assert_eq!(used.instead_because, Some("a single pass has no depths for eye-dome lighting"));
+    assert_eq!(
+        used.instead_because,
+        Some("splats that are drawn so leave no depths for eye-dome lighting")
+    );
 }
 
 #[test]
