@@ -385,7 +385,7 @@ fn decide(
     let too_many = match fuzzy {
         Some(_) => "more splats lie over one pixel than a single pass has room for",
         None => {
-            "the frame may show more splats, or larger ones, than can be sorted; lod=spt or a larger max_error_px draws fewer"
+            "the frame may show more splats, or larger ones, than can be sorted; a coarser level of detail has fewer"
         }
     };
     let in_three_passes =

@@ -2,7 +2,8 @@
 //! The scenes share few tests, because each test compiles the pipelines of all these ways.
 
 use pointillist::engine::{FrameRequest, Pose, SceneInfo};
-use pointillist::plan::Output;
+use pointillist::plan::{Output, Reconstruct, Settings};
+use pointillist::scene::Painting;
 
 use super::splats_hard::{
     assert_sound, hard_folder, hard_names, request, roomy, together, ways_and_outputs,
@@ -126,6 +127,34 @@ hard_scenes! {
     around_the_eye_to_edge_on: "around-the-eye", "axes", "behind", "clips", "edge-on";
     few_to_lines: "few", "fields-of-view", "layers", "lines";
     survey_to_without_normals: "survey", "survey-home", "transforms", "turned-away", "without-normals";
+}
+
+/// Painted splats have colours alone, and soft outlines, which no id can be compared with.
+#[test]
+fn painted_scenes_are_always_alike() {
+    let [studio, narrow] = [false, true].map(|force_32_bit| {
+        Studio::below(&hard_folder(), |config| {
+            roomy(config);
+            config.force_32_bit = force_32_bit;
+        })
+    });
+    for name in TESTED {
+        let info = load(&studio, name);
+        load(&narrow, name);
+        for camera in &info.cameras {
+            for painted_as in [Painting::Surfaces, Painting::Splats] {
+                let settings = Settings { painted_as, ..Settings::drawn_as(Reconstruct::Painted) };
+                let pose = Pose::Named(camera.name.clone());
+                let request = request(&info.id, pose, settings, Output::Color, [96, 64]);
+                let bytes = studio.bytes(&request);
+                same(&studio.bytes(&request), &bytes, &format!("again: {request:?}"));
+                let what = format!("without 64-bit atomics: {request:?}");
+                same(&narrow.bytes(&request), &bytes, &what);
+            }
+        }
+    }
+    assert_whole(&studio);
+    assert_whole(&narrow);
 }
 
 #[test]

@@ -7,7 +7,7 @@ use pointillist::engine::{EncodedFrame, EngineConfig, FrameRequest, Pose, SceneI
 use pointillist::math::{Camera, Lens};
 use pointillist::plan::{Output, Reconstruct, Settings};
 use pointillist::scene::random::SplitMix64;
-use pointillist::scene::{Blend, Filter, Painting, Shading};
+use pointillist::scene::{Blend, Filter, Shading};
 use serde_json::{Value, json};
 
 use super::studio::{Disk, OUTPUTS, Studio, depths, disk_sphere, disks, front, ids, same};
@@ -49,10 +49,6 @@ pub fn ways_and_outputs() -> Vec<(Settings, Output)> {
     for way in ways().into_iter().chain([Settings::drawn_as(Reconstruct::PullPush)]) {
         list.extend(OUTPUTS.map(|output| (way, output)));
         list.push((Settings { shading: Some(Shading::Splat), ..way }, Output::Color));
-    }
-    for painted_as in [Painting::Surfaces, Painting::Splats] {
-        let painted = Settings { painted_as, ..Settings::drawn_as(Reconstruct::Painted) };
-        list.push((painted, Output::Color));
     }
     list
 }
