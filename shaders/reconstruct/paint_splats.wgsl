@@ -39,7 +39,7 @@ fn share_of_16(bits: u32) -> f32 {
     return f32(bits & 0xffffu) / 65535.0;
 }
 
-// What is the same for all pixels of a splat; see list_splats.
+// These values are the same for all pixels of a splat; see list_splats.
 struct PaintedSplat {
     at: u32,
     low: vec2<u32>,

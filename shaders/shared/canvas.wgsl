@@ -1,6 +1,6 @@
-// What has been painted of each pixel, from front to back.
+// The canvas holds what splats have painted of each pixel, from front to back.
 
-// Of splats at the same depth, the weighted mean is laid over what lies behind; else each splat by itself.
+// Splats at the same depth are averaged before they are blended; else each splat is blended by itself.
 override SURFACES: bool = true;
 
 // Colours multiplied by alpha, and alpha.
@@ -18,7 +18,7 @@ fn under(over: vec4<f32>, color: vec3<f32>, alpha: f32) -> vec4<f32> {
     return over + vec4<f32>(color, 1.0) * (alpha * (1.0 - over.a));
 }
 
-// What a pixel shows of a surface.
+// Returns the canvas of a pixel with the surface that was being painted.
 fn with_surface(over: vec4<f32>, sums: vec4<f32>, through: f32) -> vec4<f32> {
     return select(over, under(over, sums.rgb / sums.a, 1.0 - through), sums.a > 0.0);
 }

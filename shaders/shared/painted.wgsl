@@ -5,7 +5,7 @@
 
 const TILES: u32 = 16u;
 
-// What passes over painted splats tell each other.
+// Passes over painted splats tell each other these numbers.
 struct PaintList {
     // Places, and splats that are drawn.
     places: u32,

@@ -25,7 +25,7 @@ override DISCS: bool = false;
 // Splats are blended, and so have a depth offset.
 override WEIGHTED: bool = true;
 
-// Splats are painted from back to front: however small, each covers its own share of the image.
+// Splats are painted in the order of their distances: however small, each covers its own share of the image.
 override PAINTED: bool = false;
 
 // Visibility is decided by disks without the filter, and by the pixel of a disk's centre: widened by the filter, everything would be a pixel

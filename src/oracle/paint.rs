@@ -32,7 +32,7 @@ struct Canvas {
 struct Surface {
     weight: f64,
     color: [f64; 3],
-    /// What shines through it.
+    /// The share of the light from behind that passes it.
     through: f64,
     /// Depth up to which splats belong to it, and the side that is seen.
     reach: f64,

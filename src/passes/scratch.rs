@@ -34,7 +34,7 @@ pub struct Scratch {
     /// How far threads have painted, and the picture that they make.
     pub paint_cursors: buffer::Scratch,
     pub painted: buffer::Scratch,
-    /// Of each pixel the surface that is being painted: its sums, and where it ends.
+    /// These two hold, for each pixel, the sums and the end of the surface that is being painted.
     pub paint_sums: buffer::Scratch,
     pub paint_ends: buffer::Scratch,
     /// The nearest translucent fragments of the pixels of a window, and what they cover; see `shared/window`.

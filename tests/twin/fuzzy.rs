@@ -70,9 +70,8 @@ fn every_filter_is_near_the_oracles() {
     }
 }
 
-/// Triangles in front and behind, instances, and splats that reach the camera plane.
-#[test]
-fn a_single_pass_shares_its_depth_with_triangles() {
+/// Stretched, mirrored and turned balls of samples above a floor of triangles.
+pub fn over_a_floor(name: &str) -> Case {
     let scene = json!({
         "assets": { "c": { "file": "c.ply" }, "t": { "file": "t.ply" } },
         "nodes": [
@@ -84,7 +83,13 @@ fn a_single_pass_shares_its_depth_with_triangles() {
     let (u, v) = (DVec3::new(0.0, 0.0, 4.0), DVec3::new(4.0, 0.0, 0.0));
     let floor = Shape::quad(DVec3::new(-2.0, 0.0, -2.0), u, v, 1.0);
     let files = [("c.ply", ball(900, 14).ply()), ("t.ply", floor.ply())];
-    let case = Case::new("fuzzy-mixed", &files, &scene);
+    Case::new(name, &files, &scene)
+}
+
+/// Triangles in front and behind, instances, and splats that reach the camera plane.
+#[test]
+fn a_single_pass_shares_its_depth_with_triangles() {
+    let case = over_a_floor("fuzzy-mixed");
     // From below, the floor hides most of the splats.
     for eye in [[1.0, 1.2, 2.5], [-2.0, 0.4, 1.0], [0.2, 0.1, 1.1], [0.6, -1.6, 2.5]] {
         let view = look(eye, [0.3, 0.0, 0.0], 55.0);

@@ -15,6 +15,7 @@ use pointillist::scene::{Blend, Filter, Painting};
 use serde_json::json;
 
 use super::files::Shape;
+use super::fuzzy::over_a_floor;
 use super::orthographic;
 use super::splats::{ball, case, save_both};
 use super::stage::{Case, Frames, look};
@@ -129,18 +130,7 @@ fn the_nearest_splat_hides_the_others() {
 /// Triangles and lines in front and behind, instances, and splats that reach the camera plane.
 #[test]
 fn triangles_hide_what_is_behind_them() {
-    let scene = json!({
-        "assets": { "c": { "file": "c.ply" }, "t": { "file": "t.ply" } },
-        "nodes": [
-            { "asset": "c", "scale": [1, 0.4, 1.3], "rotate": [20, 30, 5] },
-            { "asset": "c", "scale": [-0.5, 0.5, 0.5], "translate": [1.1, 0.3, 0] },
-            { "asset": "t", "translate": [0, -0.75, 0] }
-        ]
-    });
-    let (u, v) = (DVec3::new(0.0, 0.0, 4.0), DVec3::new(4.0, 0.0, 0.0));
-    let floor = Shape::quad(DVec3::new(-2.0, 0.0, -2.0), u, v, 1.0);
-    let files = [("c.ply", ball(900, 14).ply()), ("t.ply", floor.ply())];
-    let case = Case::new("painted-mixed", &files, &scene);
+    let case = over_a_floor("painted-mixed");
     for eye in [[1.0, 1.2, 2.5], [-2.0, 0.4, 1.0], [0.2, 0.1, 1.1], [0.6, -1.6, 2.5]] {
         check(&case, &look(eye, [0.3, 0.0, 0.0], 55.0), painted(Filter::Perspective), 42.0);
     }

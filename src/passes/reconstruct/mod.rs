@@ -57,14 +57,11 @@ pub fn walk_listed(recorder: &mut Recorder) -> Result<(), ShaderError> {
     recorder.compute(Call { choices, constants, segments, launch })
 }
 
-/// Records a pass over the list of painted splats, a share a thread; `reads_records`: it looks at their boxes.
-fn over_shares(recorder: &mut Recorder, reads_records: bool) -> Result<(), ShaderError> {
+/// Records a pass over the list of painted splats, a share a thread.
+pub fn over_shares(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let (workers, lanes) = (sort_workers(recorder.context.gpu.is_cpu), recorder.lanes());
-    let mut constants = vec![("WORKERS", workers), lanes];
-    if reads_records {
-        constants.push(("CLIPPED", u32::from(recorder.scene.has_clip_lines())));
-    }
-    recorder.rows(workers / lanes.1, 1, constants)
+    let clipped = ("CLIPPED", u32::from(recorder.scene.has_clip_lines()));
+    recorder.rows(workers / lanes.1, 1, vec![("WORKERS", workers), clipped, lanes])
 }
 
 /// Overrides of `shared/patches`.

@@ -1,9 +1,3 @@
 //! Keys of painted splats in the order of a digit.
 
-use super::over_shares;
-use crate::gpu::shader::ShaderError;
-use crate::passes::recorder::Recorder;
-
-pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
-    over_shares(recorder, false)
-}
+pub use super::over_shares as record;
