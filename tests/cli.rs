@@ -104,6 +104,97 @@ fn bake_fills_the_cache() {
     assert_eq!(json(&by_environment.output().unwrap())["assets"][0]["source"], "cached");
 }
 
+/// A committed scene of one ball of samples.
+const BALL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/scenes/hard/turned-away.json");
+
+#[test]
+fn accuracy_measures_a_scene_and_a_second_run_has_nothing_to_do() {
+    let shell = Shell::new();
+    let line = [
+        "accuracy",
+        BALL,
+        "-o",
+        "report",
+        "--quick",
+        "--size",
+        "96x54",
+        "--repeats",
+        "2",
+        "--json",
+    ];
+    let run = |line: &[&str]| {
+        let mut command = shell.command(line);
+        // Drivers keep compiled shaders in the user's cache, and point trees of so small a scene are quickly built.
+        command.env_remove("XDG_CACHE_HOME").env("POINTILLIST_NO_CACHE", "true");
+        command.output().unwrap()
+    };
+    let first = run(&line);
+    let results = json(&first);
+    let rows = results["scopes"][0]["entries"].as_array().unwrap();
+    let ways = ["points full", "splats full", "fuzzy full", "painted full", "pull_push full"];
+    for way in ways {
+        let row = rows.iter().find(|row| row["row"] == way).unwrap();
+        let same = row["same_as"].as_str().unwrap_or(way);
+        assert!(row["gpu_ms"]["median"].as_f64().unwrap() > 0.0, "{way}");
+        assert!(row["psnr_db"].as_f64().unwrap() > 10.0, "{way}");
+        assert!(rows.iter().any(|row| row["row"] == same && row["same_as"].is_null()), "{way}");
+    }
+    // What `auto` chooses is another row.
+    let auto = rows.iter().find(|row| row["row"] == "auto full").unwrap();
+    assert!(auto["same_as"].is_string() && !auto["notes"].as_array().unwrap().is_empty(), "{auto}");
+    let points = rows.iter().find(|row| row["row"] == "points full").unwrap();
+    let splats = rows.iter().find(|row| row["row"] == "splats full").unwrap();
+    assert!(splats["psnr_db"].as_f64() > points["psnr_db"].as_f64(), "{splats} {points}");
+    assert!(!results["scopes"][0]["fronts"]["psnr"].as_array().unwrap().is_empty());
+    for file in ["accuracy.json", "accuracy.md", "accuracy.svg", "index.html", "measurements.jsonl"]
+    {
+        assert!(shell.path("report").join(file).metadata().unwrap().len() > 500, "{file}");
+    }
+    let pose = results["scopes"][0]["folder"].as_str().unwrap();
+    let frames = shell.path("report/frames").join(pose);
+    assert!(frames.join("reference.png").exists() && frames.join("splats-full-flip.png").exists());
+
+    let journal = std::fs::read(shell.path("report/measurements.jsonl")).unwrap();
+    let again = run(&line);
+    assert_eq!(json(&again), results);
+    let told = String::from_utf8(again.stderr).unwrap();
+    assert!(told.contains("nothing to draw"), "{told}");
+    assert_eq!(std::fs::read(shell.path("report/measurements.jsonl")).unwrap(), journal);
+
+    // A run that was cut off within its last line measures what is missing, and draws no image again.
+    let cut = &journal[..journal.len() - 20];
+    std::fs::write(shell.path("report/measurements.jsonl"), cut).unwrap();
+    let resumed = run(&line);
+    assert!(resumed.status.success());
+    let told = String::from_utf8(resumed.stderr).unwrap();
+    assert!(told.contains("timing") && !told.contains("nothing to draw"), "{told}");
+    let text = std::fs::read_to_string(shell.path("report/measurements.jsonl")).unwrap();
+    assert_eq!(text.lines().count(), journal.iter().filter(|&&byte| byte == b'\n').count());
+
+    let other = run(&[&line[..], &["--seed", "9"]].concat());
+    assert_eq!(other.status.code(), Some(1));
+    let told = String::from_utf8(other.stderr).unwrap();
+    assert!(told.contains("seed 1 (now 9)") && told.contains("another folder"), "{told}");
+}
+
+#[test]
+fn accuracy_says_what_it_cannot_measure() {
+    let shell = Shell::new();
+    std::fs::write(shell.path("empty.json"), r#"{"pointillist": 1}"#).unwrap();
+    std::fs::write(shell.path("broken.ply"), "ply\nnonsense").unwrap();
+    for (line, expected) in [
+        (&["accuracy", BALL, "-o", "r", "--camera", "nowhere"][..], "its cameras are"),
+        (&["accuracy", "none.json", "-o", "r"], "none.json"),
+        (&["accuracy", "broken.ply", "-o", "r"], "broken.ply"),
+        (&["accuracy", "empty.json", "-o", "r"], "empty"),
+        (&["accuracy", "cloud.ply", "-o", "cloud.ply/r", "--quick"], "cloud.ply/r"),
+        (&["accuracy", "cloud.ply", "-o", "r", "--quick", "--size", "5000x5000"], "smaller --size"),
+    ] {
+        let told = shell.complaint(line);
+        assert!(told.contains(expected) && !told.contains("panicked"), "{line:?}: {told}");
+    }
+}
+
 #[test]
 fn no_cache_writes_nothing() {
     let shell = Shell::new();

@@ -7,6 +7,11 @@ use std::fmt;
 
 use glam::DVec3;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+mod flip;
+
+pub use flip::{PIXELS_PER_DEGREE, flip, flip_map};
 
 /// The slices have different sizes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -135,7 +140,7 @@ fn blur(plane: &[f64], width: usize, height: usize) -> Vec<f64> {
 }
 
 /// Pixels that one image covers and the other does not.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Coverage {
     pub covered_reference: u64,
     pub covered_image: u64,
@@ -299,11 +304,13 @@ pub fn covered_by_depth<T: Copy + Into<f64>>(depth: &[T]) -> Vec<bool> {
 }
 
 /// Distribution of an error over the pixels that can be compared.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
     pub pixels: u64,
     pub max: f64,
     pub mean: f64,
+    /// Half of the pixels have this error or less (nearest rank).
+    pub median: f64,
     /// 99 % of the pixels have this error or less (nearest rank).
     pub p99: f64,
 }
@@ -312,12 +319,13 @@ impl Spread {
     /// `None` if there are no errors.
     fn of(mut errors: Vec<f64>) -> Option<Spread> {
         errors.sort_unstable_by(f64::total_cmp);
-        let rank = (errors.len() * 99).div_ceil(100);
+        let at = |percent: usize| (errors.len() * percent).div_ceil(100).checked_sub(1);
         Some(Spread {
             pixels: errors.len() as u64,
             max: *errors.last()?,
             mean: errors.iter().sum::<f64>() / errors.len() as f64,
-            p99: *errors.get(rank.checked_sub(1)?)?,
+            median: *errors.get(at(50)?)?,
+            p99: *errors.get(at(99)?)?,
         })
     }
 }

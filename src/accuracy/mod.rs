@@ -1,7 +1,23 @@
-//! The accuracy of frames, above all compared with the oracle (floor 6).
+//! The accuracy of frames, above all compared with the oracle (floor 6), and what it costs in time.
 //!
 //! [`mod@reference`] draws reference frames of the engine's scenes, and [`metrics`] measures the difference of two frames.
 //! [`mod@stability`] compares the shaders' computations of splats in f32 with f64, in cases that are numerically hard.
+//!
+//! A survey measures the error and the GPU time of every combination of settings that trades one for the other:
+//! ```text
+//! declarations ─► sweep ─► survey ─► journal ─► results ─► report
+//!   plan/settings  order    draws     a line a   fronts     JSON, Markdown,
+//!                           with the  finished   (pure)     SVG, HTML (pure)
+//!                           engine    frame
+//! ```
+//! [`truth`] holds the frame that errors are measured against.
+pub mod journal;
 pub mod metrics;
+pub mod poses;
 pub mod reference;
+pub mod report;
+pub mod results;
 pub mod stability;
+pub mod survey;
+pub mod sweep;
+pub mod truth;

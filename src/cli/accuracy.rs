@@ -1,41 +1,259 @@
-//! `pointillist accuracy`: reports what accuracy costs, and whether bounds on errors hold.
+//! `pointillist accuracy`: reports what accuracy costs in time, and whether bounds on errors hold.
 
-use std::path::PathBuf;
+use std::io::IsTerminal;
+use std::path::{Path, PathBuf};
+use std::time::{Instant, SystemTime};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use glam::DVec3;
+use indicatif::{ProgressBar, ProgressStyle};
 
-use super::out;
+use super::cache::CacheArgs;
+use super::frame::size;
+use super::local::{ID, LimitArgs, SceneArgs, SceneFile, progress_bar};
+use super::out::{self, say};
+use super::path::{LINE_EVERY, bake, stop_when_told};
+use crate::accuracy::journal::Journal;
+use crate::accuracy::poses::{around, of_cameras};
+use crate::accuracy::reference::Reference;
+use crate::accuracy::results::Results;
 use crate::accuracy::stability::stability;
+use crate::accuracy::survey::{Event, NamedPose, Survey};
+use crate::accuracy::{report, sweep};
+use crate::assets::ReadOptions;
+use crate::engine::{Engine, Pose, SceneInfo};
+use crate::math::{Camera, Lens};
+use crate::plan::Extent;
+use crate::scene::SceneLimits;
 
 /// Options of `pointillist accuracy`.
 #[derive(Args, Clone, Debug)]
 pub struct AccuracyArgs {
+    /// Scene file (.json), or one file of points, lines or triangles, whose settings are compared
+    #[arg(
+        value_name = "SCENE_OR_ASSET",
+        required_unless_present = "stability",
+        conflicts_with = "stability"
+    )]
+    scene: Option<PathBuf>,
     /// Compare the splat shaders on this adapter with exact results for hard cases; fails if an error bound is exceeded
     #[arg(long)]
     stability: bool,
-    /// Folder for stability.json and stability.md; created if missing
+    /// Folder for the report, created if missing: index.html, accuracy.json, .md and .svg, and frames; with --stability
+    /// stability.json and stability.md
     #[arg(short, long, alias = "output", value_name = "FOLDER")]
     out: Option<PathBuf>,
-    /// Seed of the random splats
+    /// Name of a camera in the scene; may be repeated [default: the first five, or five views around the scene if it has none]
+    #[arg(long, value_name = "NAME")]
+    camera: Vec<String>,
+    /// Width and height of the frames in pixels [default: 640x360; with --quick 240x135]
+    #[arg(long, value_name = "WxH", value_parser = size)]
+    size: Option<(u32, u32)>,
+    /// Number of timed frames of each setting and pose [default: 5; with --quick 3]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    repeats: Option<u32>,
+    /// Few settings, one pose and a small frame
+    #[arg(long)]
+    quick: bool,
+    /// Measure errors against the f64 reference renderer on the CPU; for small scenes, since a frame may take minutes
+    #[arg(long)]
+    oracle: bool,
+    /// Seed of the order in which frames are timed, or of the random splats of --stability
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Number of splats in each class
+    /// Number of splats in each class of --stability
     #[arg(long, value_name = "N", default_value_t = 3000, value_parser = clap::value_parser!(u32).range(1..))]
     count: u32,
     /// Print JSON on standard output
     #[arg(long)]
     json: bool,
+    /// Folder that the scene's files must lie in [default: the scene's own]
+    #[arg(long, value_name = "FOLDER")]
+    root: Option<PathBuf>,
+    #[command(flatten)]
+    cache: CacheArgs,
+    #[command(flatten)]
+    limits: LimitArgs,
 }
 
-/// Makes the report, prints it, and writes it to a file.
+/// Makes the report, prints its summary, and writes it to files.
 ///
 /// # Errors
-/// The report does not exist yet, a file cannot be written, or a bound does not hold.
+/// The scene or an option is refused, there is no GPU, a file cannot be written, a signal stops the run, or a bound does not hold.
 pub fn run(args: &AccuracyArgs) -> Result<()> {
-    if !args.stability {
-        bail!("no report was selected: give --stability, the only report");
+    match &args.scene {
+        Some(scene) => survey(args, scene),
+        None => check_stability(args),
     }
+}
+
+/// Measures what accuracy costs for a scene.
+fn survey(args: &AccuracyArgs, scene: &Path) -> Result<()> {
+    super::local::init_log();
+    let Some(folder) = &args.out else {
+        bail!("no folder for the report was given: add -o FOLDER");
+    };
+    let scene_args = SceneArgs {
+        file: SceneFile {
+            scene: scene.to_owned(),
+            root: args.root.clone(),
+            cache: args.cache.clone(),
+        },
+        limits: args.limits.clone(),
+    };
+    scene_args.check_up()?;
+    let (engine, info) = scene_args.load(|_| ())?;
+    for warning in &info.warnings {
+        say!("warning: {warning}");
+    }
+    if info.bounds.is_none() {
+        bail!("{}: the scene is empty, so there is nothing to compare", scene.display());
+    }
+    let oracle = match args.oracle {
+        true => Some(oracle(args, scene)?),
+        false => None,
+    };
+    let (width, height) = args.size.unwrap_or(if args.quick { (240, 135) } else { (640, 360) });
+    let mut survey = Survey {
+        engine: &engine,
+        scene: ID,
+        poses: Vec::new(),
+        rows: sweep::rows(if args.quick { Extent::Few } else { Extent::All }),
+        size: [width, height],
+        repeats: args.repeats.unwrap_or(if args.quick { 3 } else { 5 }),
+        seed: args.seed,
+        oracle: oracle.as_ref(),
+        folder,
+    };
+    survey.poses = poses(args, &survey, &engine, &info)?;
+    for request in survey.requests() {
+        bake(&engine, &request)?;
+    }
+    let name = scene.file_name().unwrap_or(scene.as_os_str()).to_string_lossy();
+    let identity = survey.identity(&name)?;
+    let mut journal = Journal::open(folder, &identity, &date(SystemTime::now()))?;
+    let stop = stop_when_told()?;
+    let mut telling = Telling::new();
+    let is_complete = survey.run(&mut journal, &stop, |event| telling.hear(&event));
+    telling.bar.finish_and_clear();
+    if !is_complete? {
+        bail!("stopped by a signal; run the same command again to continue");
+    }
+    if telling.steps == 0 {
+        say!("nothing to draw: all measurements are there already");
+    }
+    let results = Results::new(identity, journal.date.clone(), &survey.rows, &journal.records);
+    let page = report::write(folder, &results)?;
+    if args.json {
+        out::print(&(serde_json::to_string_pretty(&results)? + "\n"))?;
+    } else {
+        out::print(&format!("{}\n", results.summary))?;
+    }
+    say!("{}: the report, with the plot, all figures and the frames", page.display());
+    Ok(())
+}
+
+/// The scene as the oracle draws it.
+fn oracle(args: &AccuracyArgs, scene: &Path) -> Result<Reference> {
+    let path = scene.canonicalize().with_context(|| format!("cannot open {}", scene.display()))?;
+    let folder = path.parent().unwrap_or(Path::new("/"));
+    let root = args.root.as_deref().unwrap_or(folder);
+    Reference::load(&path, root, &ReadOptions::default(), &SceneLimits::default())
+        .with_context(|| format!("the oracle cannot load {}", scene.display()))
+}
+
+/// Cameras of the scene, or views around it.
+fn poses(
+    args: &AccuracyArgs,
+    survey: &Survey<'_>,
+    engine: &Engine,
+    info: &SceneInfo,
+) -> Result<Vec<NamedPose>> {
+    let mut poses = if info.cameras.is_empty() && args.camera.is_empty() {
+        let request = survey.request_at(Pose::FIT);
+        bake(engine, &request)?;
+        let seen = engine.submit(request)?.wait()?.receipt.camera.clone();
+        let lens = match (seen.ortho_height, seen.fov_deg) {
+            (Some(height), _) => Lens::Orthographic { height },
+            (None, fov_deg) => Lens::Perspective { fov_deg: fov_deg.unwrap_or(40.0) },
+        };
+        let [eye, target, up] = [seen.eye, seen.target, seen.up].map(DVec3::from);
+        around(&Camera { eye, target, up, lens })
+    } else {
+        of_cameras(&info.cameras, &args.camera)
+            .map_err(|error| anyhow::anyhow!("--camera: {error}"))?
+    };
+    if args.quick && args.camera.is_empty() {
+        poses.truncate(1);
+    }
+    Ok(poses)
+}
+
+/// Shows the progress of a survey: a bar on a terminal, a line every few seconds elsewhere.
+struct Telling {
+    bar: ProgressBar,
+    has_lines: bool,
+    /// Steps that were not there already.
+    steps: u64,
+    began: Instant,
+    told: Instant,
+}
+
+impl Telling {
+    fn new() -> Telling {
+        let bar = progress_bar();
+        if let Ok(style) = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} · {eta} left")
+        {
+            bar.set_style(style);
+        }
+        bar.set_message("comparing");
+        let now = Instant::now();
+        let has_lines = !std::io::stderr().is_terminal();
+        Telling { bar, has_lines, steps: 0, began: now, told: now }
+    }
+
+    fn hear(&mut self, event: &Event<'_>) {
+        let Event { done, total, what } = *event;
+        if self.steps == 0 {
+            self.began = Instant::now();
+            self.bar.set_length(total);
+            self.bar.set_position(done);
+            // Steps that were there already took no time.
+            self.bar.reset_eta();
+        }
+        self.steps += 1;
+        self.bar.set_length(total);
+        self.bar.set_position(done);
+        self.bar.set_message(what.to_owned());
+        if self.has_lines && (self.told.elapsed() >= LINE_EVERY || done == total) {
+            self.told = Instant::now();
+            let rate = self.steps as f64 / self.began.elapsed().as_secs_f64().max(1e-9);
+            let left_s = (total - done) as f64 / rate;
+            say!("{done} of {total}: {what}, about {left_s:.0} s left");
+        }
+    }
+}
+
+/// The UTC date and time, as in 2026-01-31 23:59.
+fn date(now: SystemTime) -> String {
+    let seconds = now.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_secs();
+    let (days, rest) = (seconds / 86_400, seconds % 86_400);
+    // Hinnant's algorithm for the civil calendar, with years that begin in March.
+    let shifted = days + 719_468;
+    let (era, day_of_era) = (shifted / 146_097, shifted % 146_097);
+    let year_of_era =
+        (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let month = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * month + 2) / 5 + 1;
+    let (month, carry) = if month < 10 { (month + 3, 0) } else { (month - 9, 1) };
+    let year = era * 400 + year_of_era + carry;
+    format!("{year}-{month:02}-{day:02} {:02}:{:02}", rest / 3600, rest / 60 % 60)
+}
+
+/// Compares the shaders of splats with f64 on hard cases.
+fn check_stability(args: &AccuracyArgs) -> Result<()> {
     let report = stability(args.seed, args.count)?;
     let json = serde_json::to_string_pretty(&report)? + "\n";
     if args.json {
@@ -61,26 +279,65 @@ pub fn run(args: &AccuracyArgs) -> Result<()> {
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
+    use clap::Parser;
+
     use super::*;
 
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: AccuracyArgs,
+    }
+
+    fn parse(line: &[&str]) -> Result<AccuracyArgs, clap::Error> {
+        Line::try_parse_from([&["accuracy"], line].concat()).map(|line| line.args)
+    }
+
     #[test]
-    fn writes_both_files_and_says_what_does_not_exist() {
+    fn stability_writes_both_files() {
         let folder = tempfile::tempdir().unwrap();
         let output = folder.path().join("new");
-        let mut args = AccuracyArgs {
-            stability: true,
-            out: Some(output.clone()),
-            seed: 5,
-            count: 3,
-            json: true,
-        };
-        run(&args).unwrap();
+        let line = [
+            "--stability",
+            "--seed",
+            "5",
+            "--count",
+            "3",
+            "--json",
+            "-o",
+            output.to_str().unwrap(),
+        ];
+        run(&parse(&line).unwrap()).unwrap();
         let json = std::fs::read_to_string(output.join("stability.json")).unwrap();
         let report: serde_json::Value = serde_json::from_str(&json).unwrap();
         assert_eq!((&report["holds"], &report["seed"]), (&true.into(), &5.into()));
         let page = std::fs::read_to_string(output.join("stability.md")).unwrap();
         assert!(page.contains("3 splats a row, seed 5"), "{page}");
-        args.stability = false;
-        assert!(run(&args).unwrap_err().to_string().contains("--stability"));
+    }
+
+    #[test]
+    fn either_a_scene_or_stability_is_asked_for() {
+        let args =
+            parse(&["s.json", "-o", "r", "--camera", "a", "--camera", "b", "--size", "64x36"]);
+        let args = args.unwrap();
+        assert_eq!(
+            (args.camera, args.size),
+            (vec!["a".to_owned(), "b".to_owned()], Some((64, 36)))
+        );
+        assert!(parse(&[]).unwrap_err().to_string().contains("SCENE_OR_ASSET"));
+        assert!(parse(&["s.json", "--stability"]).is_err());
+        assert!(parse(&["s.json", "--repeats", "0"]).is_err());
+        let error = run(&parse(&["s.json"]).unwrap()).unwrap_err();
+        assert!(error.to_string().contains("-o FOLDER"), "{error}");
+    }
+
+    #[test]
+    fn dates_are_those_of_the_calendar() {
+        let at = |seconds| date(SystemTime::UNIX_EPOCH + Duration::from_secs(seconds));
+        assert_eq!(at(0), "1970-01-01 00:00");
+        assert_eq!(at(951_782_400), "2000-02-29 00:00");
+        assert_eq!(at(1_767_225_599), "2025-12-31 23:59");
     }
 }

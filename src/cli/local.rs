@@ -30,7 +30,14 @@ pub struct SceneFile {
 #[derive(clap::Args, Clone, Debug)]
 pub struct SceneArgs {
     #[command(flatten)]
-    file: SceneFile,
+    pub file: SceneFile,
+    #[command(flatten)]
+    pub limits: LimitArgs,
+}
+
+/// Limits on GPU memory and frame size, and the up direction of assets.
+#[derive(clap::Args, Clone, Debug)]
+pub struct LimitArgs {
     /// Maximum scene data kept on the GPU, in MiB
     #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..))]
     gpu_budget_mib: Option<u64>,
@@ -79,7 +86,7 @@ impl SceneFile {
 impl SceneArgs {
     /// The up direction that was given.
     pub fn up(&self) -> Option<DVec3> {
-        self.up.map(|Up(up)| up)
+        self.limits.up.map(|Up(up)| up)
     }
 
     /// Refuses `--up` with a scene file, because its cameras and paths may depend on its own up direction.
@@ -87,7 +94,7 @@ impl SceneArgs {
     /// # Errors
     /// The scene is a scene file, and `--up` is given.
     pub fn check_up(&self) -> anyhow::Result<()> {
-        if self.up.is_some() && is_scene_file(&self.file.scene) {
+        if self.limits.up.is_some() && is_scene_file(&self.file.scene) {
             anyhow::bail!(
                 "--up applies to point and triangle files only; set `up` in the scene file"
             );
@@ -105,10 +112,10 @@ impl SceneArgs {
     ) -> anyhow::Result<(Engine, SceneInfo)> {
         let bar = progress_bar();
         let (path, mut config) = self.file.config(&bar)?;
-        config.gpu_budget_bytes = self.gpu_budget_mib.map(|mib| mib.saturating_mul(1 << 20));
-        config.force_32_bit = self.force_32_bit;
-        config.max_pixels = self.max_pixels.unwrap_or(config.max_pixels);
-        config.max_side = self.max_side.unwrap_or(config.max_side);
+        config.gpu_budget_bytes = self.limits.gpu_budget_mib.map(|mib| mib.saturating_mul(1 << 20));
+        config.force_32_bit = self.limits.force_32_bit;
+        config.max_pixels = self.limits.max_pixels.unwrap_or(config.max_pixels);
+        config.max_side = self.limits.max_side.unwrap_or(config.max_side);
         config.up = self.up();
         adjust(&mut config);
         let engine = Engine::start(config)?;

@@ -52,8 +52,8 @@ enum Command {
     Bake(bake::BakeArgs),
     /// Write a procedural asset or scene
     Generate(generate::GenerateArgs),
-    /// Compare the shaders with exact results on hard cases
-    Accuracy(accuracy::AccuracyArgs),
+    /// Measure the error and the GPU time of a scene's settings, or compare the shaders with exact results on hard cases
+    Accuracy(Box<accuracy::AccuracyArgs>),
     /// Measure a daemon's latency at given request rates, or find the rate at which it saturates
     Load(Box<load::LoadArgs>),
     /// Print the HTTP contract

@@ -257,7 +257,7 @@ pub(super) fn bake(engine: &Engine, request: &FrameRequest) -> anyhow::Result<()
 }
 
 /// Returns a flag that the first signal sets. The program then stops by itself; a second signal ends it at once.
-fn stop_when_told() -> anyhow::Result<Arc<AtomicBool>> {
+pub(super) fn stop_when_told() -> anyhow::Result<Arc<AtomicBool>> {
     /// Exit code of a process that SIGINT ended, by convention of shells.
     const INTERRUPTED: i32 = 130;
     let stop = Arc::new(AtomicBool::new(false));
@@ -285,7 +285,7 @@ fn stop_when_told() -> anyhow::Result<Arc<AtomicBool>> {
 }
 
 /// Interval between lines of progress where there is no terminal.
-const LINE_EVERY: Duration = Duration::from_secs(5);
+pub(super) const LINE_EVERY: Duration = Duration::from_secs(5);
 
 /// Shows the progress of drawing.
 struct Telling {

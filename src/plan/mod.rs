@@ -14,8 +14,9 @@ use serde::Serialize;
 pub use reconstruction::Reconstruction;
 pub use settings::{
     Antialias, Background, Choice, ColorBound, ColorBy, Edl, EdlRadius, EdlStrength, ErrorMode,
-    Given, LineWidth, Lod, MaxError, Output, PointSize, PointSizePx, Reconstruct, Rule, Setting,
-    SettingError, SettingKind, Settings, StillFrame, UsedSettings, UsedSplats, Wait, declared,
+    Extent, Given, LineWidth, Lod, MaxError, Output, PointSize, PointSizePx, Reconstruct, Rule,
+    Setting, SettingError, SettingKind, Settings, StillFrame, Trade, TradeOff, UsedSettings,
+    UsedSplats, Wait, declared, trade_offs,
 };
 
 pub(crate) use table::pass_table;

@@ -18,6 +18,7 @@ use serde_json::{Map, Value};
 mod declaration;
 mod numbers;
 mod text;
+mod trades;
 mod used;
 mod values;
 
@@ -27,6 +28,7 @@ pub use declaration::{Choice, Rule, Setting, SettingError, SettingKind};
 pub use numbers::{
     ColorBound, EdlRadius, EdlStrength, LineWidth, MaxError, PointSize, PointSizePx,
 };
+pub use trades::{Extent, Trade, TradeOff, trade_offs};
 pub use used::{UsedSettings, UsedSplats};
 pub use values::{
     Antialias, Background, ColorBy, Edl, ErrorMode, Lod, Output, Reconstruct, StillFrame, Wait,
@@ -92,6 +94,7 @@ macro_rules! settings {
         $(#[doc = $doc:literal])+
         $name:ident: $given:ident => $used:ty $(, once $old:literal)? {
             label: $label:literal, kind: $kind:expr, needs: [$($need:expr),*], useful_with: [$($useful:expr),*]
+            $(, trades: $trades:expr)?
         }
     )+) => {
         /// Settings as a request gives them.
@@ -128,6 +131,7 @@ macro_rules! settings {
                 kind: $kind,
                 needs: vec![$($need),*],
                 useful_with: vec![$($useful),*],
+                trades: None$(.or(Some($trades)))?,
             },
         )+]);
 
@@ -185,17 +189,17 @@ settings! {
     }
     /// Level of detail.
     lod: Lod => Lod {
-        label: "Detail", kind: SettingKind::own::<Lod>(), needs: [], useful_with: []
+        label: "Detail", kind: SettingKind::own::<Lod>(), needs: [], useful_with: [], trades: Trade::main()
     }
     /// Largest accepted error of `lod=spt`, in pixels.
     max_error_px: f64 => MaxError {
-        label: "Error", kind: MaxError::kind(), needs: [TREES], useful_with: []
+        label: "Error", kind: MaxError::kind(), needs: [TREES], useful_with: [], trades: Trade::main_at(&[0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
     }
     /// How `lod=spt` measures the error of a splat.
     error_mode: ErrorMode => ErrorMode {
         label: "Error seen", kind: SettingKind::own::<ErrorMode>(),
         needs: [TREES, Rule::new("reconstruct", SPLATS.is, "points are selected by their size alone")],
-        useful_with: [SURELY_SPLATS]
+        useful_with: [SURELY_SPLATS], trades: Trade::variant()
     }
     /// Meaning of the colours of surfaces.
     color_by: ColorBy => ColorBy, once "paint" {
@@ -226,7 +230,7 @@ settings! {
     }
     /// How samples are drawn. The receipt says what `auto` chose and why.
     reconstruct: Reconstruct => Reconstruct {
-        label: "Samples as", kind: SettingKind::own::<Reconstruct>(), needs: [], useful_with: [SAMPLES]
+        label: "Samples as", kind: SettingKind::own::<Reconstruct>(), needs: [], useful_with: [SAMPLES], trades: Trade::main()
     }
     /// Least diameter of round points, in pixels. Above 1, `reconstruct=auto` draws points.
     point_size_px: f64 => PointSizePx {
@@ -238,28 +242,28 @@ settings! {
     }
     /// Projection of splats to the image; the scene's value by default.
     filter: Filter => Option<Filter> {
-        label: "Filter", kind: SettingKind::scenes::<Filter>(), needs: [SPLATS], useful_with: [SAMPLES, SURELY_SPLATS]
+        label: "Filter", kind: SettingKind::scenes::<Filter>(), needs: [SPLATS], useful_with: [SAMPLES, SURELY_SPLATS], trades: Trade::variant()
     }
     /// Whether splats are convolved with a low-pass filter of the image; the scene's value by default.
     prefilter: bool => Option<bool> {
-        label: "Prefilter", kind: SettingKind::Flag, needs: [FILTERED], useful_with: [SAMPLES, SURELY_SPLATS]
+        label: "Prefilter", kind: SettingKind::Flag, needs: [FILTERED], useful_with: [SAMPLES, SURELY_SPLATS], trades: Trade::variant()
     }
     /// How overlapping splats are combined; the scene's value by default.
     blend: Blend => Option<Blend> {
-        label: "Blend", kind: SettingKind::scenes::<Blend>(), needs: [PASSES], useful_with: [SAMPLES, THREE_PASSES]
+        label: "Blend", kind: SettingKind::scenes::<Blend>(), needs: [PASSES], useful_with: [SAMPLES, THREE_PASSES], trades: Trade::variant()
     }
     /// Whether lighting is computed for each pixel or for each splat; the scene's value by default.
     shading: Shading => Option<Shading> {
         label: "Light", kind: SettingKind::scenes::<Shading>(), needs: [PASSES],
-        useful_with: [SAMPLES, THREE_PASSES, COLORS, Rule::new("blend", &["weighted"], ""), Rule::new("lights", &["some"], "")]
+        useful_with: [SAMPLES, THREE_PASSES, COLORS, Rule::new("blend", &["weighted"], ""), Rule::new("lights", &["some"], "")], trades: Trade::variant()
     }
     /// Weights of the samples around a gap that pull-push fills.
     pull_push_weights: PullPushWeights => PullPushWeights {
-        label: "Gap weights", kind: SettingKind::own::<PullPushWeights>(), needs: [PULL_PUSH], useful_with: [SAMPLES]
+        label: "Gap weights", kind: SettingKind::own::<PullPushWeights>(), needs: [PULL_PUSH], useful_with: [SAMPLES], trades: Trade::variant()
     }
     /// What `reconstruct=painted` blends.
     painted_as: Painting => Painting {
-        label: "Painted as", kind: SettingKind::own::<Painting>(), needs: [PAINTED], useful_with: [SAMPLES]
+        label: "Painted as", kind: SettingKind::own::<Painting>(), needs: [PAINTED], useful_with: [SAMPLES], trades: Trade::variant()
     }
     /// Eye-dome lighting: darkens pixels whose neighbours are nearer (Boucheny 2009). `auto` uses it for samples that have no normals and
     /// are not lit.
@@ -276,7 +280,7 @@ settings! {
     }
     /// Antialiasing: pixels are means of their parts, in linear light.
     antialias: Antialias => Antialias {
-        label: "Antialiasing", kind: SettingKind::own::<Antialias>(), needs: [], useful_with: [COLORS]
+        label: "Antialiasing", kind: SettingKind::own::<Antialias>(), needs: [], useful_with: [COLORS], trades: Trade::variant()
     }
     /// Colour of pixels that show nothing; the scene's value by default. JPEG and video cannot store transparency and show black.
     background: Background => Option<Background> {

@@ -4,6 +4,8 @@ use clap::ValueEnum;
 use serde::Serialize;
 use serde_json::{Map, Value};
 
+use super::trades::Trade;
+
 /// A declared setting.
 #[derive(Clone, Debug, Serialize, utoipa::ToSchema)]
 #[schema(as = SettingInfo)]
@@ -21,6 +23,9 @@ pub struct Setting {
     /// Where one of these does not hold, the setting has no effect worth a control, or the rule's value cannot be drawn. `output`, `samples`,
     /// `segments`, `lights` and `fields` are facts of the frame and its scene; `fields` are the names of its scalar fields.
     pub useful_with: Vec<Rule>,
+    /// How the setting trades accuracy for time; `None` where it does not.
+    #[serde(skip)]
+    pub trades: Option<Trade>,
 }
 
 /// Values that a setting takes.

@@ -24,6 +24,12 @@ macro_rules! numbers {
                 self.0
             }
 
+            /// The number times `scale`, or the nearest in the range.
+            #[must_use]
+            pub fn times(self, scale: f32) -> $name {
+                $name((self.0 * scale).clamp($least, $most))
+            }
+
             pub(super) fn kind() -> SettingKind {
                 let [least, most] = $name::RANGE.map(exact);
                 SettingKind::Number { least, most, default: Some(exact($default)), unit: $unit }
@@ -94,6 +100,12 @@ impl LineWidth {
 
     pub fn px(self) -> f32 {
         self.0.unwrap_or_default().get()
+    }
+
+    /// The width times `scale`, where there is one.
+    #[must_use]
+    pub fn times(self, scale: f32) -> LineWidth {
+        LineWidth(self.0.map(|width| width.times(scale)))
     }
 
     pub(super) fn kind() -> SettingKind {

@@ -1,0 +1,347 @@
+//! The journal of a survey: one JSON line for every finished measurement, so that a second run goes on where the first one stopped.
+//!
+//! The first line says what the survey measures. A run with other arguments, another scene, adapter or build is refused. A last line that
+//! a crash cut off is removed. One process at a time holds the journal's lock.
+
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::metrics::{Coverage, Spread};
+use crate::plan::Given;
+
+/// Name of the journal in the folder of a report.
+pub const JOURNAL: &str = "measurements.jsonl";
+
+/// Why a journal cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum JournalError {
+    #[error("{file}: {error}", file = file.display())]
+    Io { file: PathBuf, error: io::Error },
+    #[error(
+        "{file} belongs to a run with {differences}; give another folder, repeat that run's arguments, or delete the folder to start anew",
+        file = file.display()
+    )]
+    Other { file: PathBuf, differences: String },
+    #[error("{file}, line {line}: {reason}; delete the file to start anew", file = file.display())]
+    Damaged { file: PathBuf, line: usize, reason: String },
+    #[error("{file}: another process is writing this report; wait for it, or give another folder", file = file.display())]
+    InUse { file: PathBuf },
+}
+
+/// A pose of a survey.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PoseRecord {
+    pub name: String,
+    /// Folder of its frames in the report's folder of frames.
+    pub folder: String,
+    pub eye: [f64; 3],
+    pub target: [f64; 3],
+    pub up: [f64; 3],
+    /// Vertical field of view in degrees, of a perspective.
+    pub fov_deg: Option<f64>,
+    /// Height of the view in scene units, of an orthographic projection.
+    pub ortho_height: Option<f64>,
+}
+
+/// What a survey measures. Two runs with equal identities continue each other.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Identity {
+    pub version: String,
+    pub adapter: String,
+    pub scene: String,
+    /// Entity tag of a frame of the scene: it changes with the scene's content, the adapter and the build.
+    pub tag: String,
+    pub width: u32,
+    pub height: u32,
+    pub repeats: u32,
+    pub seed: u64,
+    /// The reference frame, in words.
+    pub reference: String,
+    pub poses: Vec<PoseRecord>,
+    pub rows: Vec<String>,
+}
+
+/// Errors of a frame against the reference.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Metrics {
+    /// Mean squared error of the red, green and blue bytes.
+    pub mse: f64,
+    pub ssim: f64,
+    pub flip: f64,
+    pub max_error: u8,
+    pub coverage: Coverage,
+    /// Relative errors of depth; `None` where the frame's drawing has no depths of its own.
+    pub depth: Option<Spread>,
+    /// Errors of normals, in degrees; `None` likewise.
+    pub normal_deg: Option<Spread>,
+}
+
+/// A line of the journal. Poses and rows are given by their names.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Record {
+    Run {
+        identity: Box<Identity>,
+        date: String,
+    },
+    Image {
+        pose: String,
+        row: String,
+        metrics: Box<Metrics>,
+        drawn: Box<Given>,
+        notes: Vec<String>,
+    },
+    /// The frame is drawn as that of another row.
+    Same {
+        pose: String,
+        row: String,
+        same_as: String,
+        notes: Vec<String>,
+    },
+    /// The program refuses the frame.
+    Refused {
+        pose: String,
+        row: String,
+        why: String,
+    },
+    Time {
+        pose: String,
+        row: String,
+        repeat: u32,
+        gpu_ms: f64,
+    },
+}
+
+/// An open journal.
+#[derive(Debug)]
+pub struct Journal {
+    path: PathBuf,
+    file: File,
+    /// Date of the first run.
+    pub date: String,
+    pub records: Vec<Record>,
+}
+
+impl Journal {
+    /// Opens the journal of the folder, or begins one on this date. The folder is created if it is missing.
+    ///
+    /// # Errors
+    /// The folder cannot be written, another process holds the journal, or the journal is damaged or that of another survey.
+    pub fn open(folder: &Path, identity: &Identity, date: &str) -> Result<Journal, JournalError> {
+        let path = folder.join(JOURNAL);
+        let failed = |error| JournalError::Io { file: path.clone(), error };
+        std::fs::create_dir_all(folder)
+            .map_err(|error| JournalError::Io { file: folder.to_owned(), error })?;
+        let mut file = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(&path)
+            .map_err(failed)?;
+        match file.try_lock() {
+            Err(TryLockError::WouldBlock) => return Err(JournalError::InUse { file: path }),
+            Err(TryLockError::Error(error)) => return Err(failed(error)),
+            Ok(()) => {}
+        }
+        let mut text = Vec::new();
+        file.read_to_end(&mut text).map_err(failed)?;
+        let (records, kept) = parse(&path, &text)?;
+        file.set_len(kept as u64).map_err(failed)?;
+        file.seek(SeekFrom::End(0)).map_err(failed)?;
+        let mut journal = Journal { path, file, date: date.to_owned(), records: Vec::new() };
+        let mut records = records.into_iter();
+        match records.next() {
+            None => {
+                let identity = Box::new(identity.clone());
+                journal.write(&Record::Run { identity, date: date.to_owned() })?;
+            }
+            Some(Record::Run { identity: found, date }) => {
+                let differences = differences(&found, identity);
+                if !differences.is_empty() {
+                    let file = journal.path;
+                    return Err(JournalError::Other { file, differences: differences.join(", ") });
+                }
+                (journal.date, journal.records) = (date, records.collect());
+            }
+            Some(_) => {
+                let reason = "the first line does not say what was measured".to_owned();
+                return Err(JournalError::Damaged { file: journal.path, line: 1, reason });
+            }
+        }
+        Ok(journal)
+    }
+
+    fn write(&mut self, record: &Record) -> Result<(), JournalError> {
+        let failed = |error| JournalError::Io { file: self.path.clone(), error };
+        let mut line = serde_json::to_vec(record).map_err(|error| failed(error.into()))?;
+        line.push(b'\n');
+        self.file.write_all(&line).map_err(failed)
+    }
+
+    /// Adds a finished measurement.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn add(&mut self, record: Record) -> Result<(), JournalError> {
+        self.write(&record)?;
+        self.records.push(record);
+        Ok(())
+    }
+}
+
+/// The records of a journal, and the length of the text that holds them.
+fn parse(path: &Path, text: &[u8]) -> Result<(Vec<Record>, usize), JournalError> {
+    let kept = text.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);
+    let mut records = Vec::new();
+    for (number, line) in text[..kept].split_inclusive(|&byte| byte == b'\n').enumerate() {
+        let record = serde_json::from_slice(line).map_err(|error| JournalError::Damaged {
+            file: path.to_owned(),
+            line: number + 1,
+            reason: error.to_string(),
+        })?;
+        records.push(record);
+    }
+    Ok((records, kept))
+}
+
+/// What the journal's survey has that this one has not, in words.
+fn differences(found: &Identity, wanted: &Identity) -> Vec<String> {
+    let names = |identity: &Identity| {
+        identity.poses.iter().map(|pose| pose.name.as_str()).collect::<Vec<_>>().join(", ")
+    };
+    let pairs = [
+        ("version", found.version.clone(), wanted.version.clone()),
+        ("adapter", found.adapter.clone(), wanted.adapter.clone()),
+        ("scene", found.scene.clone(), wanted.scene.clone()),
+        ("size", size(found), size(wanted)),
+        ("repeats", found.repeats.to_string(), wanted.repeats.to_string()),
+        ("seed", found.seed.to_string(), wanted.seed.to_string()),
+        ("poses", names(found), names(wanted)),
+        ("reference", found.reference.clone(), wanted.reference.clone()),
+        ("number of settings", found.rows.len().to_string(), wanted.rows.len().to_string()),
+    ];
+    let mut differences: Vec<String> = pairs
+        .into_iter()
+        .filter(|(_, found, wanted)| found != wanted)
+        .map(|(name, found, wanted)| format!("{name} {found} (now {wanted})"))
+        .collect();
+    if differences.is_empty() && found != wanted {
+        differences.push("other content of the scene, or another build of the program".to_owned());
+    }
+    differences
+}
+
+fn size(identity: &Identity) -> String {
+    format!("{}x{}", identity.width, identity.height)
+}
+
+/// Writes a whole file: under another name first, then renamed, so that a reader never sees a part of it.
+///
+/// # Errors
+/// The file cannot be written.
+pub fn write_whole(file: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut name = file.as_os_str().to_owned();
+    name.push(".part");
+    std::fs::write(&name, bytes)?;
+    std::fs::rename(&name, file)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn identity() -> Identity {
+        Identity {
+            version: "1".into(),
+            adapter: "A".into(),
+            scene: "s.json".into(),
+            tag: "t".into(),
+            width: 64,
+            height: 36,
+            repeats: 3,
+            seed: 1,
+            reference: "r".into(),
+            poses: Vec::new(),
+            rows: vec!["a".into()],
+        }
+    }
+
+    fn time(repeat: u32) -> Record {
+        Record::Time { pose: "p".into(), row: "a".into(), repeat, gpu_ms: 1.5 }
+    }
+
+    #[test]
+    fn a_second_run_finds_the_measurements_of_the_first() {
+        let folder = tempfile::tempdir().unwrap();
+        let nested = folder.path().join("a/b");
+        let mut journal = Journal::open(&nested, &identity(), "monday").unwrap();
+        journal.add(time(0)).unwrap();
+        journal.add(time(1)).unwrap();
+        assert!(matches!(
+            Journal::open(&nested, &identity(), "tuesday"),
+            Err(JournalError::InUse { .. })
+        ));
+        drop(journal);
+        let again = Journal::open(&nested, &identity(), "tuesday").unwrap();
+        assert_eq!(
+            (again.records.as_slice(), again.date.as_str()),
+            (&[time(0), time(1)][..], "monday")
+        );
+    }
+
+    #[test]
+    fn a_line_that_a_crash_cut_off_is_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        Journal::open(folder.path(), &identity(), "monday").unwrap().add(time(0)).unwrap();
+        let file = folder.path().join(JOURNAL);
+        let mut text = std::fs::read(&file).unwrap();
+        text.extend(b"{\"kind\":\"time\",\"pose");
+        std::fs::write(&file, &text).unwrap();
+        let mut journal = Journal::open(folder.path(), &identity(), "tuesday").unwrap();
+        assert_eq!(journal.records, [time(0)]);
+        journal.add(time(1)).unwrap();
+        drop(journal);
+        let journal = Journal::open(folder.path(), &identity(), "tuesday").unwrap();
+        assert_eq!(journal.records, [time(0), time(1)]);
+        drop(journal);
+        text[5] = b'x';
+        text.push(b'\n');
+        std::fs::write(&file, &text).unwrap();
+        let error = Journal::open(folder.path(), &identity(), "wednesday").unwrap_err();
+        assert!(error.to_string().contains("line 1"), "{error}");
+    }
+
+    #[test]
+    fn another_survey_is_refused_with_what_differs() {
+        let folder = tempfile::tempdir().unwrap();
+        drop(Journal::open(folder.path(), &identity(), "monday").unwrap());
+        let open = |change: fn(&mut Identity)| {
+            let mut wanted = identity();
+            change(&mut wanted);
+            Journal::open(folder.path(), &wanted, "tuesday").unwrap_err().to_string()
+        };
+        let error = open(|wanted| wanted.width = 128);
+        assert!(
+            error.contains("size 64x36 (now 128x36)") && error.contains("another folder"),
+            "{error}"
+        );
+        let error = open(|wanted| wanted.adapter = "B".into());
+        assert!(error.contains("adapter A (now B)"), "{error}");
+        let error = open(|wanted| wanted.tag = "u".into());
+        assert!(error.contains("content of the scene"), "{error}");
+        assert!(Journal::open(folder.path(), &identity(), "tuesday").is_ok());
+    }
+
+    #[test]
+    fn a_folder_that_cannot_be_made_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("file");
+        std::fs::write(&file, "").unwrap();
+        let error = Journal::open(&file.join("under"), &identity(), "monday").unwrap_err();
+        assert!(error.to_string().contains("under"), "{error}");
+    }
+}

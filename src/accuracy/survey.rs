@@ -1,0 +1,548 @@
+//! Draws what a survey measures, with the engine, and writes every finished measurement to the journal.
+//!
+//! 1. The reference of each pose is drawn, or read from the folder of the report.
+//! 2. Each row is drawn once at each pose: colours, coverage, depths and normals are compared with the reference. This frame is also the
+//!    discarded warm-up, in which the driver compiles shaders.
+//! 3. The frames that are timed are drawn in random order over all poses and rows.
+//!
+//! Rows whose frames the program draws alike are drawn once; the others name that row and the receipt's reason.
+
+use std::collections::{BTreeMap, HashSet};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use super::journal::{Identity, Journal, JournalError, Metrics, PoseRecord, Record, write_whole};
+use super::metrics::{self, SizeMismatch};
+use super::reference::Reference;
+use super::sweep::{Draw, Row, order, owners, slug};
+use super::truth::{PARTS, Truth, Wide, floats, is_covered, opaque, quads};
+use crate::encode::{EncodeError, FrameImage, ImageFormat, encode};
+use crate::engine::{EncodedFrame, Engine, EngineError, FrameRequest, Pose, Receipt};
+use crate::math::{Camera, CameraError};
+use crate::plan::{Given, Output, Settings, Wait};
+use crate::scene::Splats;
+
+/// Folder of the frames in a report, and of the references within it.
+pub const FRAMES: &str = "frames";
+
+/// Why a survey ended early.
+#[derive(Debug, thiserror::Error)]
+pub enum SurveyError {
+    #[error(transparent)]
+    Journal(#[from] JournalError),
+    #[error(transparent)]
+    Engine(#[from] EngineError),
+    #[error(transparent)]
+    Camera(#[from] CameraError),
+    #[error(transparent)]
+    Encode(#[from] EncodeError),
+    #[error(transparent)]
+    Size(#[from] SizeMismatch),
+    #[error("{file}: {error}", file = file.display())]
+    Io { file: PathBuf, error: std::io::Error },
+    #[error("{0} has no GPU timestamps, so frames cannot be timed on it")]
+    NoTimestamps(String),
+    #[error(
+        "a frame of {width}x{height} needs a reference of {wide}x{high} pixels, and the limits are {pixels} pixels and {side} a side; give a smaller --size"
+    )]
+    TooLarge { width: u32, height: u32, wide: u32, high: u32, pixels: u64, side: u32 },
+    #[error(
+        "pose {0} shows nothing of the scene, so there is nothing to compare; choose other cameras"
+    )]
+    Blank(String),
+}
+
+/// A pose with a name.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NamedPose {
+    pub name: String,
+    /// Folder of its frames in [`FRAMES`].
+    pub folder: String,
+    pub camera: Camera,
+}
+
+impl NamedPose {
+    /// The pose with this number and name in a survey; the number keeps folders of similar names apart.
+    pub fn new(number: usize, name: &str, camera: Camera) -> NamedPose {
+        let folder = format!("{}-{}", number + 1, slug(name)).trim_end_matches('-').to_owned();
+        NamedPose { name: name.to_owned(), folder, camera }
+    }
+
+    /// The pose as the journal has it.
+    pub fn record(&self) -> PoseRecord {
+        let Camera { eye, target, up, lens } = self.camera;
+        PoseRecord {
+            name: self.name.clone(),
+            folder: self.folder.clone(),
+            eye: eye.into(),
+            target: target.into(),
+            up: up.into(),
+            fov_deg: lens.fov_deg(),
+            ortho_height: lens.ortho_height(),
+        }
+    }
+}
+
+/// What a survey draws.
+pub struct Survey<'a> {
+    pub engine: &'a Engine,
+    /// Id of the scene in the engine.
+    pub scene: &'a str,
+    pub poses: Vec<NamedPose>,
+    pub rows: Vec<Row>,
+    pub size: [u32; 2],
+    pub repeats: u32,
+    pub seed: u64,
+    /// The f64 oracle's scene, where its frames are the references.
+    pub oracle: Option<&'a Reference>,
+    pub folder: &'a Path,
+}
+
+/// Progress of a survey.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Event<'a> {
+    /// Number of the step that begins now, from 1.
+    pub done: u64,
+    pub total: u64,
+    /// The step, in words.
+    pub what: &'a str,
+}
+
+/// File of an image of a row at a pose, relative to the report: the frame, or with `-flip` its FLIP map.
+pub fn frame_file(folder: &str, slug_of_row: &str, suffix: &str) -> String {
+    format!("{FRAMES}/{folder}/{slug_of_row}{suffix}.png")
+}
+
+/// Slug of the reference among the rows of a pose.
+pub const REFERENCE: &str = "reference";
+
+impl Survey<'_> {
+    /// What the survey measures, for the journal. `scene` is the scene's name in the report.
+    ///
+    /// # Errors
+    /// The engine refuses the scene's first frame, or the size is beyond a limit.
+    pub fn identity(&self, scene: &str) -> Result<Identity, SurveyError> {
+        let first = self.poses.first().map_or(Pose::FIT, |pose| Pose::Camera(pose.camera));
+        let tag = self.engine.resolve_blocking(self.request_at(first))?.etag().to_owned();
+        let [width, height] = self.size;
+        Ok(Identity {
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            adapter: self.engine.adapter(),
+            scene: scene.to_owned(),
+            tag,
+            width,
+            height,
+            repeats: self.repeats,
+            seed: self.seed,
+            reference: self.reference_in_words()?,
+            poses: self.poses.iter().map(NamedPose::record).collect(),
+            rows: self.rows.iter().map(|row| row.label.clone()).collect(),
+        })
+    }
+
+    /// A frame at a pose, as the program draws it when nothing is chosen.
+    pub fn request_at(&self, pose: Pose) -> FrameRequest {
+        self.request(pose, complete(Settings::default()), Output::Color)
+    }
+
+    /// Frames of all rows at the first pose, and of the reference: what they need can be baked before.
+    pub fn requests(&self) -> Vec<FrameRequest> {
+        let Some(first) = self.poses.first() else { return Vec::new() };
+        let exact =
+            self.request(Pose::Camera(first.camera), complete(Settings::exact()), Output::Color);
+        let rows = self.rows.iter().map(|row| self.row_request(first, row));
+        // A row that is refused needs nothing.
+        rows.chain([exact]).filter(|request| self.engine.must_bake(request)).collect()
+    }
+
+    fn request(&self, pose: Pose, settings: Settings, output: Output) -> FrameRequest {
+        FrameRequest {
+            scene: self.scene.to_owned(),
+            pose,
+            width: self.size[0],
+            height: self.size[1],
+            settings,
+            output,
+            format: ImageFormat::Raw,
+            quality: 100,
+            deadline: None,
+        }
+    }
+
+    fn draw(&self, request: FrameRequest) -> Result<Arc<EncodedFrame>, EngineError> {
+        self.engine.submit(request)?.wait()
+    }
+
+    /// Size of the reference's frames, and their settings for a frame's own ones.
+    fn wide(&self) -> Result<([u32; 2], u64, u32), SurveyError> {
+        let limits = self.engine.limits();
+        let [width, height] = self.size;
+        let [wide, high] = self.size.map(|side| side.saturating_mul(PARTS));
+        let (pixels, side) = (limits.max_pixels, limits.max_side);
+        if u64::from(wide) * u64::from(high) > pixels || wide.max(high) > side {
+            return Err(SurveyError::TooLarge { width, height, wide, high, pixels, side });
+        }
+        Ok(([wide, high], pixels, side))
+    }
+
+    fn reference_in_words(&self) -> Result<String, SurveyError> {
+        if self.oracle.is_some() {
+            return Ok(format!(
+                "the f64 oracle on the CPU: every sample as a splat, every triangle and line, {PARTS} × {PARTS} parts a pixel, averaged in linear light"
+            ));
+        }
+        let ([wide, high], pixels, side) = self.wide()?;
+        let parts = Settings::exact().antialiased_within([wide, high], pixels, side).parts();
+        let finer = if parts > 1 {
+            format!(", each of them the mean of {parts} × {parts} parts")
+        } else {
+            String::new()
+        };
+        Ok(format!(
+            "full detail at {PARTS} × {PARTS} times the pixels ({wide}x{high}){finer}, averaged in linear light; samples as splats, meshes as triangles, drawn by the engine"
+        ))
+    }
+
+    /// Draws the reference of a pose.
+    fn truth(&self, pose: &NamedPose) -> Result<Truth, SurveyError> {
+        let [width, height] = self.size;
+        if let Some(oracle) = self.oracle {
+            let view = pose.camera.view(width, height)?;
+            let splats = Splats::default();
+            return Ok(Truth::of_oracle(&oracle.frame_with(&view, PARTS, Some(&splats))));
+        }
+        let (wide, pixels, side) = self.wide()?;
+        let own =
+            self.request(Pose::Camera(pose.camera), complete(Settings::exact()), Output::Color);
+        let decided = *self.engine.resolve_blocking(own.clone())?.settings();
+        let draw = |output, transparent| {
+            let exact = complete(decided.finer(PARTS, transparent));
+            let settings = match output {
+                Output::Color => exact.antialiased_within(wide, pixels, side),
+                _ => exact,
+            };
+            let [width, height] = wide;
+            self.draw(FrameRequest { width, height, settings, output, ..own.clone() })
+        };
+        let wide = Wide {
+            color: quads(&draw(Output::Color, false)?.bytes),
+            coverage: quads(&draw(Output::Color, true)?.bytes),
+            depth: floats(&draw(Output::Depth, false)?.bytes),
+            normal: quads(&draw(Output::Normal, false)?.bytes),
+        };
+        Ok(Truth::of_wide(width, height, PARTS, &wide))
+    }
+
+    /// The reference of a pose, from the folder if it is there.
+    fn kept_truth(&self, pose: &NamedPose) -> Result<Truth, SurveyError> {
+        let png = self.folder.join(frame_file(&pose.folder, REFERENCE, ""));
+        let file = png.with_extension("gz");
+        let [width, height] = self.size;
+        if let Some(truth) = Truth::read(&file, width, height).filter(|_| png.exists()) {
+            return Ok(truth);
+        }
+        let truth = self.truth(pose)?;
+        if truth.covered_pixels() == 0 {
+            return Err(SurveyError::Blank(pose.name.clone()));
+        }
+        self.write_png(&png, truth.color.clone())?;
+        truth.write(&file).map_err(|error| SurveyError::Io { file, error })?;
+        Ok(truth)
+    }
+
+    fn write_png(&self, file: &Path, rgba: Vec<[u8; 4]>) -> Result<(), SurveyError> {
+        let [width, height] = self.size;
+        let png = encode(&FrameImage::Color { width, height, rgba }, ImageFormat::Png, 100)?;
+        let failed = |error| SurveyError::Io { file: file.to_owned(), error };
+        if let Some(folder) = file.parent() {
+            std::fs::create_dir_all(folder).map_err(failed)?;
+        }
+        write_whole(file, &png.bytes).map_err(failed)
+    }
+
+    /// Draws what the journal lacks. Stops after the frame at hand when `stop` is set, and returns whether everything is there.
+    ///
+    /// # Errors
+    /// The engine fails, a file cannot be written, or the adapter has no timestamps.
+    pub fn run(
+        &self,
+        journal: &mut Journal,
+        stop: &AtomicBool,
+        mut tell: impl FnMut(Event<'_>),
+    ) -> Result<bool, SurveyError> {
+        let mut known = Known::of(&journal.records);
+        let images = (self.poses.len() * self.rows.len()) as u64;
+        let all = images * u64::from(1 + self.repeats);
+        let mut done = 0;
+        let mut warm = HashSet::new();
+        for (pose_number, pose) in self.poses.iter().enumerate() {
+            let mut truth = None;
+            let (drawn, owners) = self.owners(pose);
+            for (row_number, row) in self.rows.iter().enumerate() {
+                if stop.load(Ordering::Relaxed) {
+                    return Ok(false);
+                }
+                done += 1;
+                if known.has(&pose.name, &row.label) {
+                    continue;
+                }
+                tell(Event { done, total: all, what: &format!("{}, {}", pose.name, row.label) });
+                let (name, label) = (pose.name.clone(), row.label.clone());
+                let record = match (&drawn[row_number], owners[row_number]) {
+                    (Err(why), _) => Record::Refused { pose: name, row: label, why: why.clone() },
+                    (Ok(_), Some(owner)) if owner != row_number => {
+                        let notes = notes(&self.draw(self.row_request(pose, row))?.receipt);
+                        let same_as = self.rows[owner].label.clone();
+                        Record::Same { pose: name, row: label, same_as, notes }
+                    }
+                    (Ok(_), _) => {
+                        let truth = match &truth {
+                            Some(truth) => truth,
+                            None => truth.insert(self.kept_truth(pose)?),
+                        };
+                        warm.insert((pose_number, row_number));
+                        self.compare(pose, row, truth)?
+                    }
+                };
+                known.see(&record);
+                journal.add(record)?;
+            }
+        }
+        let subjects = known.subjects(&self.poses, &self.rows);
+        let draws = order(&subjects, self.repeats, self.seed);
+        let total = done + draws.len() as u64;
+        for draw in draws {
+            if stop.load(Ordering::Relaxed) {
+                return Ok(false);
+            }
+            done += 1;
+            let (pose, row) = (&self.poses[draw.pose], &self.rows[draw.row]);
+            if known.is_timed(pose, row, &draw) {
+                continue;
+            }
+            tell(Event { done, total, what: &format!("timing {}, {}", pose.name, row.label) });
+            if warm.insert((draw.pose, draw.row)) {
+                self.draw(self.row_request(pose, row))?;
+            }
+            let receipt = self.draw(self.row_request(pose, row))?.receipt.clone();
+            let ns = receipt.gpu_share_ns();
+            let gpu_ms = ns.ok_or(SurveyError::NoTimestamps(receipt.adapter))? as f64 / 1e6;
+            let (pose, row) = (pose.name.clone(), row.label.clone());
+            journal.add(Record::Time { pose, row, repeat: draw.repeat, gpu_ms })?;
+        }
+        Ok(true)
+    }
+
+    /// What each row is drawn with at a pose, or why it is refused, and the row that stands for all that are drawn alike.
+    fn owners(&self, pose: &NamedPose) -> (Vec<Result<Given, String>>, Vec<Option<usize>>) {
+        let drawn: Vec<Result<Given, String>> = self
+            .rows
+            .iter()
+            .map(|row| match self.engine.resolve_blocking(self.row_request(pose, row)) {
+                Ok(frame) => Ok(frame.settings().applied()),
+                Err(error) => Err(error.to_string()),
+            })
+            .collect();
+        let pairs: Vec<_> = self
+            .rows
+            .iter()
+            .zip(&drawn)
+            .map(|(row, drawn)| (&row.given, drawn.as_ref().ok()))
+            .collect();
+        let owners = owners(&pairs);
+        (drawn, owners)
+    }
+
+    fn row_request(&self, pose: &NamedPose, row: &Row) -> FrameRequest {
+        let settings = complete(Settings::from(row.given));
+        self.request(Pose::Camera(pose.camera), settings, Output::Color)
+    }
+
+    /// Draws all outputs of a row, compares them with the reference, and writes the frame and its FLIP map.
+    fn compare(&self, pose: &NamedPose, row: &Row, truth: &Truth) -> Result<Record, SurveyError> {
+        let [width, height] = self.size;
+        let request = self.row_request(pose, row);
+        let frame = self.draw(request.clone())?;
+        let color: Vec<[u8; 4]> = quads(&frame.bytes).into_iter().map(opaque).collect();
+        let settings = request.settings.finer(1, true);
+        let seen = self.draw(FrameRequest { settings, ..request.clone() })?;
+        let covered: Vec<bool> = quads(&seen.bytes).into_iter().map(is_covered).collect();
+        // Depths and normals of another drawing say nothing about this one.
+        let instead = frame.receipt.settings.instead_because;
+        let own = |output| {
+            let frame = self.draw(FrameRequest { output, ..request.clone() })?;
+            let is_own = frame.receipt.settings.instead_because == instead;
+            Ok::<_, EngineError>(is_own.then_some(frame))
+        };
+        let depth = own(Output::Depth)?.map(|frame| floats(&frame.bytes));
+        let depth = depth.map(|depth| metrics::depth_error(&truth.depth, &depth)).transpose()?;
+        let normals = metrics::normals_from_rgba8(&truth.normal);
+        let normal = own(Output::Normal)?.map(|frame| {
+            let own = metrics::normals_from_rgba8(&quads(&frame.bytes));
+            metrics::normal_error_deg(&normals, &own)
+        });
+        let map =
+            metrics::flip_map(&truth.color, &color, width, height, metrics::PIXELS_PER_DEGREE)?;
+        let psnr = metrics::psnr(&truth.color, &color)?;
+        let found = Metrics {
+            mse: 255.0 * 255.0 / 10f64.powf(0.1 * psnr),
+            ssim: metrics::ssim(&truth.color, &color, width, height)?,
+            flip: map.iter().sum::<f64>() / map.len().max(1) as f64,
+            max_error: metrics::max_error(&truth.color, &color)?,
+            coverage: metrics::coverage(&truth.covered, &covered, width, height)?,
+            depth: depth.flatten(),
+            normal_deg: normal.transpose()?.flatten(),
+        };
+        let file = |suffix| self.folder.join(frame_file(&pose.folder, &row.slug(), suffix));
+        self.write_png(&file(""), color)?;
+        self.write_png(&file("-flip"), map.into_iter().map(super::report::heat).collect())?;
+        Ok(Record::Image {
+            pose: pose.name.clone(),
+            row: row.label.clone(),
+            metrics: Box::new(found),
+            drawn: Box::new(frame.receipt.settings.applied),
+            notes: notes(&frame.receipt),
+        })
+    }
+}
+
+/// Settings with which a frame waits for everything that it needs.
+fn complete(settings: Settings) -> Settings {
+    Settings { wait: Wait::Complete, ..settings }
+}
+
+/// The receipt's reasons for drawing in another way than requested.
+fn notes(receipt: &Receipt) -> Vec<String> {
+    let used = &receipt.settings;
+    let because = used.because.clone();
+    let instead = used.instead_because.map(str::to_owned);
+    [because, instead, used.full_because.clone()].into_iter().flatten().collect()
+}
+
+/// What the journal has.
+#[derive(Debug, Default)]
+struct Known {
+    /// What the rows of a pose were drawn with; `None` for those that were not drawn for themselves.
+    drawn: BTreeMap<(String, String), Option<Given>>,
+    timed: HashSet<(String, String, u32)>,
+}
+
+impl Known {
+    fn of(records: &[Record]) -> Known {
+        let mut known = Known::default();
+        records.iter().for_each(|record| known.see(record));
+        known
+    }
+
+    fn see(&mut self, record: &Record) {
+        match record {
+            Record::Run { .. } => {}
+            Record::Image { pose, row, drawn, .. } => {
+                self.drawn.insert((pose.clone(), row.clone()), Some(**drawn));
+            }
+            Record::Same { pose, row, .. } | Record::Refused { pose, row, .. } => {
+                self.drawn.insert((pose.clone(), row.clone()), None);
+            }
+            Record::Time { pose, row, repeat, .. } => {
+                self.timed.insert((pose.clone(), row.clone(), *repeat));
+            }
+        }
+    }
+
+    fn has(&self, pose: &str, row: &str) -> bool {
+        self.drawn.contains_key(&(pose.to_owned(), row.to_owned()))
+    }
+
+    fn is_timed(&self, pose: &NamedPose, row: &Row, draw: &Draw) -> bool {
+        self.timed.contains(&(pose.name.clone(), row.label.clone(), draw.repeat))
+    }
+
+    /// Numbers of the poses and rows that are drawn for themselves.
+    fn subjects(&self, poses: &[NamedPose], rows: &[Row]) -> Vec<(usize, usize)> {
+        let mut subjects = Vec::new();
+        for (number, pose) in poses.iter().enumerate() {
+            let drawn = |row: &Row| {
+                self.drawn.get(&(pose.name.clone(), row.label.clone())).and_then(Option::as_ref)
+            };
+            let pairs: Vec<_> = rows.iter().map(|row| (&row.given, drawn(row))).collect();
+            let own = owners(&pairs).into_iter().enumerate();
+            subjects.extend(
+                own.filter(|&(row, owner)| owner == Some(row)).map(|(row, _)| (number, row)),
+            );
+        }
+        subjects
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn image(row: &str, drawn: Given) -> Record {
+        let metrics = Metrics {
+            mse: 1.0,
+            ssim: 1.0,
+            flip: 0.0,
+            max_error: 1,
+            coverage: metrics::Coverage::default(),
+            depth: None,
+            normal_deg: None,
+        };
+        let (pose, row) = ("p".to_owned(), row.to_owned());
+        Record::Image {
+            pose,
+            row,
+            metrics: Box::new(metrics),
+            drawn: Box::new(drawn),
+            notes: vec![],
+        }
+    }
+
+    #[test]
+    fn rows_that_were_drawn_alike_are_timed_once() {
+        let splats = Given { prefilter: Some(true), ..Given::default() };
+        let same = Record::Same {
+            pose: "p".into(),
+            row: "c".into(),
+            same_as: "a".into(),
+            notes: Vec::new(),
+        };
+        let refused = Record::Refused { pose: "p".into(), row: "d".into(), why: "no".into() };
+        let time = Record::Time { pose: "p".into(), row: "a".into(), repeat: 1, gpu_ms: 2.0 };
+        let records = [
+            image("a", Given::default()),
+            image("b", splats),
+            same,
+            refused,
+            image("e", splats),
+            time,
+        ];
+        let known = Known::of(&records);
+        let row = |label: &str| Row {
+            label: label.to_owned(),
+            family: String::new(),
+            given: Given::default(),
+        };
+        let rows = ["a", "b", "c", "d", "e", "f"].map(row);
+        let camera = Camera {
+            eye: glam::DVec3::Z,
+            target: glam::DVec3::ZERO,
+            up: glam::DVec3::Y,
+            lens: crate::math::Lens::Perspective { fov_deg: 40.0 },
+        };
+        let poses = [NamedPose::new(0, "p", camera)];
+        assert_eq!(known.subjects(&poses, &rows), [(0, 0), (0, 1)]);
+        assert!(known.has("p", "e") && !known.has("p", "f") && !known.has("q", "a"));
+        let timed = |repeat| known.is_timed(&poses[0], &rows[0], &Draw { pose: 0, row: 0, repeat });
+        assert!(timed(1) && !timed(0));
+    }
+
+    #[test]
+    fn files_have_the_names_of_pose_and_row() {
+        assert_eq!(
+            frame_file("1-above", "splats-full", "-flip"),
+            "frames/1-above/splats-full-flip.png"
+        );
+    }
+}

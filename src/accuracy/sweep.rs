@@ -1,0 +1,229 @@
+//! The list of what a survey draws, its order, and the statistics of what it finds. Pure: no engine, clock or file.
+
+use serde::{Deserialize, Serialize};
+
+use crate::plan::{Extent, Given, trade_offs};
+use crate::scene::random::SplitMix64;
+
+/// A combination of settings that a survey measures.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Row {
+    /// Name in words, such as `splats spt 1 px`.
+    pub label: String,
+    /// How samples are drawn; rows of a family have one colour in the plot.
+    pub family: String,
+    pub given: Given,
+}
+
+impl Row {
+    /// Name as a part of file names: letters, digits and single hyphens.
+    pub fn slug(&self) -> String {
+        slug(&self.label)
+    }
+}
+
+/// The text with each run of other characters than letters and digits replaced by a hyphen.
+pub fn slug(text: &str) -> String {
+    let words: Vec<&str> =
+        text.split(|c: char| !c.is_ascii_alphanumeric()).filter(|word| !word.is_empty()).collect();
+    words.join("-")
+}
+
+/// All rows of a survey, from the declarations of the settings.
+pub fn rows(extent: Extent) -> Vec<Row> {
+    let row = |found: crate::plan::TradeOff| Row {
+        label: found.label,
+        family: found.family,
+        given: found.given,
+    };
+    trade_offs(extent).into_iter().map(row).collect()
+}
+
+/// For each row, given as what it asks for and what it is drawn with, the row that stands for all rows that are drawn alike: the first one
+/// that is drawn as it asks, or else the first one. `None` for rows that are not drawn.
+pub fn owners(rows: &[(&Given, Option<&Given>)]) -> Vec<Option<usize>> {
+    let is_as_asked = |asked: &Given, drawn: &Given| {
+        let drawn = drawn.pairs();
+        asked.pairs().iter().all(|pair| drawn.contains(pair))
+    };
+    let owner = |drawn: &Given| {
+        let mut alike = (0..rows.len()).filter(|&row| rows[row].1 == Some(drawn)).peekable();
+        let first = alike.peek().copied();
+        alike.find(|&row| is_as_asked(rows[row].0, drawn)).or(first)
+    };
+    rows.iter().map(|(_, drawn)| owner((*drawn)?)).collect()
+}
+
+/// A timed frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Draw {
+    pub pose: usize,
+    pub row: usize,
+    pub repeat: u32,
+}
+
+/// All timed frames of these poses and rows, in an order that the seed decides: slow drifts of the machine then meet all rows alike.
+pub fn order(subjects: &[(usize, usize)], repeats: u32, seed: u64) -> Vec<Draw> {
+    let mut draws: Vec<Draw> = subjects
+        .iter()
+        .flat_map(|&(pose, row)| (0..repeats).map(move |repeat| Draw { pose, row, repeat }))
+        .collect();
+    let mut random = SplitMix64::new(seed);
+    for last in (1..draws.len()).rev() {
+        draws.swap(last, random.index(last + 1));
+    }
+    draws
+}
+
+/// Median and quartiles of repeated measurements.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Quartiles {
+    pub count: usize,
+    pub low: f64,
+    pub median: f64,
+    pub high: f64,
+}
+
+impl Quartiles {
+    /// Quartiles by linear interpolation between ranks (type 7 of Hyndman and Fan 1996); `None` for no values.
+    pub fn of(values: &[f64]) -> Option<Quartiles> {
+        let mut sorted = values.to_vec();
+        sorted.sort_unstable_by(f64::total_cmp);
+        let at = |share: f64| {
+            let place = share * sorted.len().checked_sub(1)? as f64;
+            let (low, high) = (sorted.get(place as usize)?, sorted.get(place.ceil() as usize)?);
+            Some(low + (high - low) * place.fract())
+        };
+        Some(Quartiles { count: values.len(), low: at(0.25)?, median: at(0.5)?, high: at(0.75)? })
+    }
+
+    /// Means of the medians and quartiles of several poses; `None` for no poses. `count` is the sum.
+    pub fn mean(of: &[Quartiles]) -> Option<Quartiles> {
+        let mean = |value: fn(&Quartiles) -> f64| {
+            of.iter().map(value).sum::<f64>() / of.len().max(1) as f64
+        };
+        (!of.is_empty()).then(|| Quartiles {
+            count: of.iter().map(|one| one.count).sum(),
+            low: mean(|one| one.low),
+            median: mean(|one| one.median),
+            high: mean(|one| one.high),
+        })
+    }
+}
+
+/// Indices of the points that no other point beats in both time and error, from the fastest to the most exact. Less is better in both. Of
+/// equal points, the first counts. Points that are not finite in time or are NaN in error are left out.
+pub fn pareto(points: &[(f64, f64)]) -> Vec<usize> {
+    let mut sorted: Vec<usize> =
+        (0..points.len()).filter(|&i| points[i].0.is_finite() && !points[i].1.is_nan()).collect();
+    sorted.sort_by(|&a, &b| {
+        points[a].0.total_cmp(&points[b].0).then(points[a].1.total_cmp(&points[b].1))
+    });
+    let mut front: Vec<usize> = Vec::new();
+    for point in sorted {
+        if front.last().is_none_or(|&last| points[point].1 < points[last].1) {
+            front.push(point);
+        }
+    }
+    front
+}
+
+/// Price of accuracy between two points of a front.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Price {
+    pub from_db: f64,
+    pub to_db: f64,
+    /// Time of the second point divided by that of the first.
+    pub times: f64,
+    /// Factor of time for each decibel, if every decibel costs the same factor.
+    pub times_per_db: f64,
+}
+
+/// Price from one point `(time, decibels)` to a more exact one; `None` where the second is not above the first or a value is not finite.
+pub fn price(from: (f64, f64), to: (f64, f64)) -> Option<Price> {
+    let (times, gain) = (to.0 / from.0, to.1 - from.1);
+    let is_known = gain > 0.0 && gain.is_finite() && times.is_finite() && times > 0.0;
+    is_known.then(|| Price {
+        from_db: from.1,
+        to_db: to.1,
+        times,
+        times_per_db: times.powf(1.0 / gain),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    #[test]
+    fn order_has_every_draw_once_and_follows_from_the_seed() {
+        let subjects = [(0, 0), (0, 3), (1, 2)];
+        let draws = order(&subjects, 4, 7);
+        assert_eq!(draws.iter().collect::<BTreeSet<_>>().len(), 12);
+        assert!(draws.iter().all(|draw| subjects.contains(&(draw.pose, draw.row))));
+        assert_eq!(draws, order(&subjects, 4, 7));
+        assert_ne!(draws, order(&subjects, 4, 8));
+        assert!(!draws.is_sorted());
+        assert!(order(&[], 4, 7).is_empty());
+    }
+
+    #[test]
+    fn rows_that_are_drawn_alike_belong_to_the_one_that_asked_for_it() {
+        let given = |pairs: &[(&str, &str)]| {
+            let mut given = Given::default();
+            pairs.iter().for_each(|(name, value)| given.set_text(name, value).unwrap());
+            given
+        };
+        let auto = given(&[("reconstruct", "auto")]);
+        let splats = given(&[("reconstruct", "splats")]);
+        let exact = given(&[("reconstruct", "splats"), ("filter", "exact")]);
+        let (drawn, other) = (exact, given(&[("reconstruct", "points")]));
+        let rows = [
+            (&auto, Some(&drawn)),
+            (&splats, Some(&drawn)),
+            (&exact, Some(&drawn)),
+            (&auto, Some(&other)),
+            (&splats, None),
+        ];
+        assert_eq!(owners(&rows), [Some(1), Some(1), Some(1), Some(3), None]);
+    }
+
+    #[test]
+    fn quartiles_interpolate_between_ranks() {
+        let found = Quartiles::of(&[4.0, 1.0, 3.0, 2.0]).unwrap();
+        assert_eq!((found.low, found.median, found.high, found.count), (1.75, 2.5, 3.25, 4));
+        let one = Quartiles::of(&[5.0]).unwrap();
+        assert_eq!((one.low, one.median, one.high), (5.0, 5.0, 5.0));
+        assert_eq!(Quartiles::of(&[]), None);
+        let mean = Quartiles::mean(&[found, one]).unwrap();
+        assert_eq!((mean.low, mean.median, mean.count), (3.375, 3.75, 5));
+        assert_eq!(Quartiles::mean(&[]), None);
+    }
+
+    #[test]
+    fn a_front_has_no_point_that_another_beats() {
+        let points = [(4.0, 1.0), (1.0, 9.0), (2.0, 3.0), (3.0, 3.0), (2.0, 3.0), (5.0, 0.5)];
+        assert_eq!(pareto(&points), [1, 2, 0, 5]);
+        assert_eq!(pareto(&[(1.0, f64::NAN), (f64::INFINITY, 0.0), (2.0, f64::INFINITY)]), [2]);
+        assert!(pareto(&[]).is_empty());
+    }
+
+    #[test]
+    fn prices_are_factors_of_time() {
+        let found = price((2.0, 30.0), (8.0, 32.0)).unwrap();
+        assert_eq!((found.times, found.times_per_db), (4.0, 2.0));
+        assert_eq!(price((2.0, 30.0), (8.0, 30.0)), None);
+        assert_eq!(price((2.0, 30.0), (8.0, f64::INFINITY)), None);
+    }
+
+    #[test]
+    fn rows_have_file_names_of_their_own() {
+        let rows = rows(Extent::All);
+        let slugs: BTreeSet<String> = rows.iter().map(Row::slug).collect();
+        assert_eq!(slugs.len(), rows.len());
+        assert!(slugs.contains("splats-spt-0-25-px"), "{slugs:?}");
+        assert_eq!(slug("a/../b  c"), "a-b-c");
+    }
+}
