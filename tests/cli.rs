@@ -180,7 +180,7 @@ fn accuracy_measures_a_scene_and_a_second_run_has_nothing_to_do() {
 #[test]
 fn accuracy_says_what_it_cannot_measure() {
     let shell = Shell::new();
-    std::fs::write(shell.path("empty.json"), r#"{"pointillist": 1}"#).unwrap();
+    std::fs::write(shell.path("empty.json"), r#"{"assets": {}, "nodes": []}"#).unwrap();
     std::fs::write(shell.path("broken.ply"), "ply\nnonsense").unwrap();
     for (line, expected) in [
         (&["accuracy", BALL, "-o", "r", "--camera", "nowhere"][..], "its cameras are"),
@@ -188,7 +188,7 @@ fn accuracy_says_what_it_cannot_measure() {
         (&["accuracy", "broken.ply", "-o", "r"], "broken.ply"),
         (&["accuracy", "empty.json", "-o", "r"], "empty"),
         (&["accuracy", "cloud.ply", "-o", "cloud.ply/r", "--quick"], "cloud.ply/r"),
-        (&["accuracy", "cloud.ply", "-o", "r", "--quick", "--size", "5000x5000"], "smaller --size"),
+        (&["accuracy", "cloud.ply", "-o", "r", "--quick", "--size", "3000x3000"], "smaller --size"),
     ] {
         let told = shell.complaint(line);
         assert!(told.contains(expected) && !told.contains("panicked"), "{line:?}: {told}");

@@ -123,6 +123,7 @@ impl Survey<'_> {
     /// # Errors
     /// The engine refuses the scene's first frame, or the size is beyond a limit.
     pub fn identity(&self, scene: &str) -> Result<Identity, SurveyError> {
+        let reference = self.reference_in_words()?;
         let first = self.poses.first().map_or(Pose::FIT, |pose| Pose::Camera(pose.camera));
         let tag = self.engine.resolve_blocking(self.request_at(first))?.etag().to_owned();
         let [width, height] = self.size;
@@ -135,7 +136,7 @@ impl Survey<'_> {
             height,
             repeats: self.repeats,
             seed: self.seed,
-            reference: self.reference_in_words()?,
+            reference,
             poses: self.poses.iter().map(NamedPose::record).collect(),
             rows: self.rows.iter().map(|row| row.label.clone()).collect(),
         })

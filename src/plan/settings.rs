@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 mod declaration;
+mod finer;
 mod numbers;
 mod text;
 mod trades;

@@ -12,8 +12,9 @@ const MEASURES = {
   ssim: { name: 'SSIM', value: (row) => row.ssim, digits: 4, more: true },
 };
 const poses = results.scopes.filter((scope) => scope.folder);
-const families = [...new Set(results.scopes.flatMap((scope) => scope.entries.map((row) => row.family)))];
-const state = { scope: results.scopes[0], measure: 'psnr', row: null, pose: poses[0], sort: { column: 1, down: false }, view: 'wipe' };
+const isPlotted = (row) => !row.same_as && row.gpu_ms;
+const families = [...new Set(results.scopes.flatMap((scope) => scope.entries.filter(isPlotted).map((row) => row.family)))];
+const state = { scope: results.scopes[0], measure: 'psnr', row: null, pose: poses[0], sort: { column: 2, down: false }, view: 'wipe' };
 
 function element(name, attributes = {}, ...children) {
   const made = document.createElement(name);
@@ -41,7 +42,7 @@ function short(value) {
   return value.toFixed(Math.max(0, 3 - before));
 }
 
-const plotted = () => state.scope.entries.filter((row) => !row.same_as && row.gpu_ms);
+const plotted = () => state.scope.entries.filter(isPlotted);
 const front = () => state.scope.fronts[state.measure] ?? [];
 const entry = (name) => state.scope.entries.find((row) => row.row === name);
 
@@ -59,7 +60,7 @@ function axis(values, from, to, least) {
 }
 
 function roundTicks({ low, high }) {
-  const rough = (high - low) / 8;
+  const rough = (high - low) / 10;
   const power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((times) => times * power).find((found) => found >= rough);
   const ticks = [];
@@ -220,8 +221,8 @@ function wipe() {
 
 const COLUMNS = [
   { name: '', text: true, value: (row) => (front().includes(row.row) ? 0 : 1), cell: (row) => (front().includes(row.row) ? '●' : '') },
-  { name: 'GPU, ms', value: (row) => row.gpu_ms.median, cell: (row) => `${short(row.gpu_ms.median)} (${short(row.gpu_ms.low)}–${short(row.gpu_ms.high)})` },
   { name: 'setting', text: true, value: (row) => row.row, cell: (row) => row.row },
+  { name: 'GPU, ms', value: (row) => row.gpu_ms.median, cell: (row) => `${short(row.gpu_ms.median)} (${short(row.gpu_ms.low)}–${short(row.gpu_ms.high)})` },
   { name: 'PSNR, dB', value: (row) => row.psnr_db ?? Infinity, cell: (row) => digits(row.psnr_db ?? Infinity, 2) },
   { name: 'SSIM', value: (row) => row.ssim, cell: (row) => digits(row.ssim, 4) },
   { name: 'FLIP', value: (row) => row.flip, cell: (row) => digits(row.flip, 4) },
@@ -259,7 +260,7 @@ function drawTable() {
     return made;
   });
   const reference = element('img', { src: images.frames[state.pose.folder]?.reference ?? '', alt: '' });
-  const first = element('tr', {}, element('td', {}, reference), element('td', {}), element('td', {}), element('td', { class: 'text', colspan: 11 }, 'the reference'));
+  const first = element('tr', {}, element('td', {}, reference), element('td', {}), element('td', { class: 'text', colspan: 12 }, 'the reference'));
   document.querySelector('#table tbody').replaceChildren(first, ...rows);
   drawOthers();
 }

@@ -125,14 +125,13 @@ pub fn page(results: &Results, images: &Images) -> Result<String, ReportError> {
     // `</script>` in a name must not end the data.
     let data = serde_json::to_string(&Data { results, images })?.replace('<', "\\u003c");
     let identity = &results.identity;
+    let poses = match identity.poses.len() {
+        1 => "1 pose".to_owned(),
+        count => format!("{count} poses"),
+    };
     let measured = format!(
-        "{}x{}, {} poses, each frame timed {} times in random order (seed {}), {} UTC",
-        identity.width,
-        identity.height,
-        identity.poses.len(),
-        identity.repeats,
-        identity.seed,
-        results.date
+        "{}x{}, {poses}, each frame timed {} times in random order (seed {}), {} UTC",
+        identity.width, identity.height, identity.repeats, identity.seed, results.date
     );
     Ok(include_str!("page.html")
         .replace("{{style}}", include_str!("page.css"))

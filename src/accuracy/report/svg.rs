@@ -69,9 +69,9 @@ impl Axis {
         self.from_px + share * (self.to_px - self.from_px)
     }
 
-    /// Multiples of 1, 2 or 5 times a power of ten, about eight of them.
+    /// Multiples of 1, 2 or 5 times a power of ten, at most eleven of them.
     fn ticks(&self) -> Vec<f64> {
-        let rough = (self.high - self.low) / 8.0;
+        let rough = (self.high - self.low) / 10.0;
         let power = 10f64.powf(rough.log10().floor());
         let steps = [1.0, 2.0, 5.0, 10.0].map(|times| times * power);
         let step = steps.into_iter().find(|step| *step >= rough).unwrap_or(rough);

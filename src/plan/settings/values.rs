@@ -139,42 +139,6 @@ impl Settings {
         }
     }
 
-    /// The settings for a frame with `parts` pixels along each side of one of this frame's: lengths in pixels are multiplied, and pixels
-    /// show nothing but the scene where `transparent` says so.
-    #[must_use]
-    pub fn finer(&self, parts: u32, transparent: bool) -> Settings {
-        let scale = parts as f32;
-        let background = if transparent { Some(Background([0; 4])) } else { self.background };
-        Settings {
-            line_width_px: self.line_width_px.times(scale),
-            edl_radius_px: self.edl_radius_px.times(scale),
-            background,
-            ..*self
-        }
-    }
-
-    /// The settings with as much antialiasing as leaves `pixels` or fewer parts of a frame of `size`.
-    #[must_use]
-    pub fn antialiased_within(&self, size: [u32; 2], pixels: u64, side: u32) -> Settings {
-        let with = |antialias| Settings { antialias, ..*self };
-        let fits = |settings: &Settings| {
-            let [width, height] = size.map(|side| u64::from(side) * u64::from(settings.parts()));
-            width * height <= pixels && width.max(height) <= u64::from(side)
-        };
-        let finer = with(Antialias::Parts4);
-        if fits(&finer) { finer } else { with(Antialias::Off) }
-    }
-
-    /// Full detail with samples as splats, and no pixel averaged.
-    #[must_use]
-    pub fn exact() -> Settings {
-        Settings {
-            lod: Lod::Full,
-            antialias: Antialias::Off,
-            ..Settings::drawn_as(Reconstruct::Splats)
-        }
-    }
-
     /// Accepted error of `lod=spt` in pixels.
     pub fn accepted_px(&self) -> f32 {
         self.max_error_px.px()
@@ -335,6 +299,8 @@ const BACKGROUND_PATTERN: &str = "^(transparent|#?([0-9a-fA-F]{3}|[0-9a-fA-F]{6}
 pub struct Background([u8; 4]);
 
 impl Background {
+    pub(super) const TRANSPARENT: Background = Background([0; 4]);
+
     pub(super) fn kind() -> SettingKind {
         SettingKind::Text {
             default: "the scene’s",
