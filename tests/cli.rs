@@ -110,18 +110,8 @@ const BALL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/scenes/hard/turned-away
 #[test]
 fn accuracy_measures_a_scene_and_a_second_run_has_nothing_to_do() {
     let shell = Shell::new();
-    let line = [
-        "accuracy",
-        BALL,
-        "-o",
-        "report",
-        "--quick",
-        "--size",
-        "96x54",
-        "--repeats",
-        "2",
-        "--json",
-    ];
+    let options = "-o report --quick --camera outside --size 96x54 --repeats 2 --json";
+    let line: Vec<&str> = ["accuracy", BALL].into_iter().chain(options.split(' ')).collect();
     let run = |line: &[&str]| {
         let mut command = shell.command(line);
         // Drivers keep compiled shaders in the user's cache, and point trees of so small a scene are quickly built.
