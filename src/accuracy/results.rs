@@ -314,25 +314,27 @@ fn summary(scope: &Scope) -> String {
             at(first)
         );
     };
-    let steps = &scope.steps;
-    let each = |pick: fn(f64, f64) -> f64, start| {
-        steps.iter().map(|step| step.times_per_db).fold(start, pick)
-    };
-    let spread = if steps.len() > 1 {
+    let each = scope.steps.iter().filter_map(|step| step.times_per_db);
+    let (least, most) = each
+        .clone()
+        .fold((f64::INFINITY, 0.0f64), |(least, most), times| (least.min(times), most.max(times)));
+    let spread = if each.count() > 1 {
         format!(
             " Between neighbours on the Pareto front, a decibel costs {} to {} times the time.",
-            three_digits(each(f64::min, f64::INFINITY)),
-            three_digits(each(f64::max, 0.0))
+            three_digits(least),
+            three_digits(most)
         )
     } else {
         String::new()
     };
+    let average = price.times_per_db.map_or_else(String::new, |times| {
+        format!(": one more decibel costs {:.0} % more time on average", 100.0 * (times - 1.0))
+    });
     format!(
-        "From {:.1} dB to {:.1} dB costs {}× the time: one more decibel costs {:.0} % more time on average. The fastest setting is {}, the most exact {}.{spread}",
+        "From {:.1} dB to {:.1} dB costs {}× the time{average}. The fastest setting is {}, the most exact {}.{spread}",
         price.from_db,
         price.to_db,
         three_digits(price.times),
-        100.0 * (price.times_per_db - 1.0),
         at(first),
         at(last),
     )
@@ -471,7 +473,8 @@ pub(super) mod tests {
         let price = front.price.unwrap();
         assert!((price.from_db - 30.0).abs() < 1e-9 && (price.to_db - 40.0).abs() < 1e-9);
         assert!(
-            (price.times - 4.0).abs() < 1e-9 && (price.times_per_db - 4f64.powf(0.1)).abs() < 1e-9
+            (price.times - 4.0).abs() < 1e-9
+                && (price.times_per_db.unwrap() - 4f64.powf(0.1)).abs() < 1e-9
         );
         assert_eq!(front.plotted().count(), 3);
         let other = front.entry("other way").unwrap();

@@ -135,9 +135,12 @@ pub struct Price {
     pub to_db: f64,
     /// Time of the second point divided by that of the first.
     pub times: f64,
-    /// Factor of time for each decibel, if every decibel costs the same factor.
-    pub times_per_db: f64,
+    /// Factor of time for each decibel, if every decibel costs the same factor; `None` for gains below [`LEAST_GAIN_DB`].
+    pub times_per_db: Option<f64>,
 }
+
+/// Smallest gain that tells the price of a decibel: below it, the noise of times decides.
+pub const LEAST_GAIN_DB: f64 = 0.1;
 
 /// Price from one point `(time, decibels)` to a more exact one; `None` where the second is not above the first or a value is not finite.
 pub fn price(from: (f64, f64), to: (f64, f64)) -> Option<Price> {
@@ -147,7 +150,7 @@ pub fn price(from: (f64, f64), to: (f64, f64)) -> Option<Price> {
         from_db: from.1,
         to_db: to.1,
         times,
-        times_per_db: times.powf(1.0 / gain),
+        times_per_db: (gain >= LEAST_GAIN_DB).then(|| times.powf(1.0 / gain)),
     })
 }
 
@@ -213,7 +216,9 @@ mod tests {
     #[test]
     fn prices_are_factors_of_time() {
         let found = price((2.0, 30.0), (8.0, 32.0)).unwrap();
-        assert_eq!((found.times, found.times_per_db), (4.0, 2.0));
+        assert_eq!((found.times, found.times_per_db), (4.0, Some(2.0)));
+        let small = price((2.0, 30.0), (3.0, 30.05)).unwrap();
+        assert_eq!((small.times, small.times_per_db), (1.5, None));
         assert_eq!(price((2.0, 30.0), (8.0, 30.0)), None);
         assert_eq!(price((2.0, 30.0), (8.0, f64::INFINITY)), None);
     }

@@ -95,11 +95,12 @@ fn steps(out: &mut String, scope: &Scope) {
     for step in &scope.steps {
         let _ = writeln!(
             out,
-            "| {:.2} dB | {:.2} dB | × {} | × {} |",
+            "| {:.2} dB | {:.2} dB | × {} | {} |",
             step.from_db,
             step.to_db,
             three_digits(step.times),
-            three_digits(step.times_per_db)
+            step.times_per_db
+                .map_or("–".to_owned(), |times| format!("× {}", three_digits(times)))
         );
     }
 }
