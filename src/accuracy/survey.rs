@@ -21,7 +21,6 @@ use crate::encode::{EncodeError, FrameImage, ImageFormat, encode};
 use crate::engine::{EncodedFrame, Engine, EngineError, FrameRequest, Pose, Receipt};
 use crate::math::{Camera, CameraError};
 use crate::plan::{Given, Output, Settings, Wait};
-use crate::scene::Splats;
 
 /// Folder of the frames in a report, and of the references within it.
 pub const FRAMES: &str = "frames";
@@ -210,7 +209,7 @@ impl Survey<'_> {
         let [width, height] = self.size;
         if let Some(oracle) = self.oracle {
             let view = pose.camera.view(width, height)?;
-            let splats = Splats::default();
+            let splats = oracle.description().splats;
             return Ok(Truth::of_oracle(&oracle.frame_with(&view, PARTS, Some(&splats))));
         }
         let (wide, pixels, side) = self.wide()?;
