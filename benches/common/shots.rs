@@ -1,6 +1,7 @@
 //! Scenes, poses and settings whose frames are drawn in turns, and what the receipts of each say.
 
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use pointillist::encode::ImageFormat;
 use pointillist::engine::{EncodedFrame, Receipt};
@@ -8,6 +9,9 @@ use pointillist::plan::Settings;
 
 use super::drawing::{Drawing, Orbit, STEP_DEG, gpu_ms};
 use super::{median, ms};
+
+/// Work after which a GPU that was idle runs at its full clock rate.
+const AWAKE: Duration = Duration::from_millis(500);
 
 /// A frame that is drawn again and again, the camera turned a little each time.
 #[derive(Clone, Copy)]
@@ -24,7 +28,7 @@ pub struct Taken {
     pub receipts: Vec<Receipt>,
 }
 
-/// Draws each shot `frames` times after `warm` frames that do not count: a frame of every shot, then the next of every shot.
+/// Draws each shot `frames` times after `warm` frames or more that do not count: a frame of every shot, then the next of every shot.
 ///
 /// # Errors
 /// The engine refuses.
@@ -45,19 +49,26 @@ pub fn take_images(
     for shot in shots {
         shot.drawing.bake(shot.settings)?;
     }
-    let mut taken: Vec<Taken> = shots.iter().map(|_| Taken::default()).collect();
-    for frame in 0..warm + frames {
-        let mut images = Vec::with_capacity(shots.len());
-        for shot in shots {
+    let draw = |frame: u32| -> anyhow::Result<Vec<Arc<EncodedFrame>>> {
+        let of_shot = |shot: &Shot| {
             let camera = shot.orbit.at(f64::from(frame) * STEP_DEG);
-            images.push(shot.drawing.image(camera, shot.size, shot.settings, format)?);
+            shot.drawing.image(camera, shot.size, shot.settings, format)
+        };
+        shots.iter().map(of_shot).collect()
+    };
+    let begun = Instant::now();
+    let mut warmed = 0;
+    while warmed < warm || begun.elapsed() < AWAKE {
+        draw(warmed)?;
+        warmed += 1;
+    }
+    let mut taken: Vec<Taken> = shots.iter().map(|_| Taken::default()).collect();
+    for frame in warm..warm + frames {
+        let images = draw(frame)?;
+        for (taken, image) in taken.iter_mut().zip(&images) {
+            taken.receipts.push(image.receipt.clone());
         }
-        if frame >= warm {
-            for (taken, image) in taken.iter_mut().zip(&images) {
-                taken.receipts.push(image.receipt.clone());
-            }
-            look(&images)?;
-        }
+        look(&images)?;
     }
     Ok(taken)
 }

@@ -1,5 +1,5 @@
-// Occlusion test of the far slots in this turn: a thread takes several slots and tests each of their parts against what has
-// been drawn. Visible slots are listed with the parts that are not hidden.
+// Occlusion test of the far slots in this turn: each of their parts is tested against what has been drawn. Visible slots are listed with the
+// parts that are not hidden. On CPU adapters a thread takes several slots. On GPUs a slot has several threads, which test parts side by side.
 //!include shared/frame
 //!include shared/scene
 //!include shared/frustum
@@ -29,6 +29,9 @@ override AGAIN: bool = false;
 override SPLATS: bool = false;
 // Splats of all samples are discs of one size.
 override DISCS: bool = false;
+
+// Threads that share a slot; with one, each thread takes ASKED / 64 slots.
+override TESTERS: u32 = 1u;
 
 // Largest number of tiles, or of blocks, that are read in each direction.
 const MOST_ACROSS: u32 = 6u;
@@ -81,8 +84,8 @@ fn is_hidden(bounds: BoxBounds) -> bool {
     return true;
 }
 
-// Returns the parts of a slot that are not hidden.
-fn shown_parts(slot: Slot, chunk: Chunk) -> u32 {
+// Returns which of a slot's parts are not hidden: of all of them, or of those of one of TESTERS threads.
+fn shown_parts(slot: Slot, chunk: Chunk, tester: u32) -> u32 {
     let at = placed[frame.first_instance + slot.instance];
     let whole = grid_box(at, chunk.origin, chunk.extent);
     let is_splats = SPLATS && chunk.kind == SAMPLES;
@@ -96,31 +99,30 @@ fn shown_parts(slot: Slot, chunk: Chunk) -> u32 {
     let splat_px = select(0.0, max(frame.splat_cutoff * frame.splat_lowpass_px, 1.0), is_splats);
     let filter_px = select(max(splat_px, node_px), LINE_FILTER_PX, is_lines);
     let widened = Box(whole.centre, whole.x, whole.y, whole.z, whole.slack + reach);
-    var left = select((chunk.count + PART - 1u) / PART, 0u, is_hidden(drawn_bounds(widened, filter_px)));
+    let count = (chunk.count + PART - 1u) / PART;
+    // The test of a whole slot saves those of its parts, unless they are made side by side.
+    let stop = select(count, 0u, TESTERS == 1u && is_hidden(drawn_bounds(widened, filter_px)));
     var shown = 0u;
-    while left > 0u {
-        left--;
-        if ((slot.parts >> left) & 1u) == 0u {
+    for (var own = tester; own < stop; own += TESTERS) {
+        if ((slot.parts >> own) & 1u) == 0u {
             continue;
         }
-        let low = parts[slot.chunk][left].low;
-        var part = part_box(whole, low, parts[slot.chunk][left].high);
+        let low = parts[slot.chunk][own].low;
+        var part = part_box(whole, low, parts[slot.chunk][own].high);
         part.slack += max(reach * select(longest_of(low), 1.0, DISCS && !is_lines), least_reach);
         if !is_hidden(drawn_bounds(part, filter_px)) {
-            shown |= 1u << left;
+            shown |= 1u << own;
         }
     }
     return shown;
 }
 
 // Lists a slot for drawing in this turn if any part of it is visible.
-fn ask(run: Run, slot_index: u32) {
-    let slot = slots[frame.first_slot + slot_index];
-    let chunk = chunks[slot.chunk];
-    let shown = shown_parts(slot, chunk);
+fn list_slot(run: Run, slot_index: u32, shown: u32) {
     if shown == 0u {
         return;
     }
+    let chunk = chunks[slots[frame.first_slot + slot_index].chunk];
     // The last part may be shorter.
     let last = (chunk.count - 1u) / PART;
     let elements = countOneBits(shown) * PART - select(0u, (last + 1u) * PART - chunk.count, (shown >> last) == 1u);
@@ -135,51 +137,108 @@ fn ask(run: Run, slot_index: u32) {
     turn_slots[frame.first_slot + run.first_slot + place] = vec2<u32>(slot_index, shown);
 }
 
-// Removes from a drawn slot the parts that later draws have hidden.
-fn ask_again(at: u32) {
-    let word = turn_slots[at];
-    let slot = slots[frame.first_slot + word.x];
-    turn_slots[at].y = word.y & shown_parts(slot, chunks[slot.chunk]);
+// Which slots are asked: in this turn those whose depths are in these bins, or those that have been drawn.
+struct Asked {
+    count: u32,
+    first: u32,
+    begin: u32,
+    end: u32,
 }
 
-@compute @workgroup_size(64)
-fn cull_hidden(@builtin(global_invocation_id) invocation: vec3<u32>) {
-    begin_view(invocation.z);
+fn asked_slots(run: Run) -> Asked {
     let own = frame.first_run + segment.index;
-    let far = atomicLoad(&portions[own].far);
-    let run = runs[own];
+    let first = frame.first_slot + run.first_slot;
     if AGAIN {
-        let listed = atomicLoad(&portions[own].listed);
-        let first = (invocation.x + invocation.y * DISPATCH_ROW * 64u) * ASKED_EACH;
-        for (var index = first; index < min(first + ASKED_EACH, listed); index++) {
-            ask_again(frame.first_slot + run.first_slot + index);
-        }
-        return;
+        return Asked(atomicLoad(&portions[own].listed), first, 0u, 0u);
     }
     let record = frame.view * DEPTHS_WORDS;
     let ends = record + DEPTH_ENDS + clamp(depths[record + DEPTH_TURN], 1u, TURNS);
-    let begin = depths[ends - 1u];
-    let end = depths[ends];
-    var index = (invocation.x + invocation.y * DISPATCH_ROW * 64u) * ASKED_EACH;
-    let stop = min(index + ASKED_EACH, far);
+    return Asked(atomicLoad(&portions[own].far), first, depths[ends - 1u], depths[ends]);
+}
+
+// Returns a slot, if it is asked in this turn, else NO_TURN.
+fn slot_in_turn(asked: Asked, index: u32) -> u32 {
+    let word = turns[asked.first + index];
+    let bin = word >> TURN_SHIFT;
+    return select(NO_TURN, word & TURN_SLOT, word != NO_TURN && bin >= asked.begin && bin < asked.end);
+}
+
+fn shown_of(slot_index: u32, tester: u32) -> u32 {
+    let slot = slots[frame.first_slot + slot_index];
+    return shown_parts(slot, chunks[slot.chunk], tester);
+}
+
+// What the threads of each slot of this workgroup have found.
+var<workgroup> found: array<atomic<u32>, 64>;
+
+// Asks a slot, each of its threads some parts.
+fn ask_together(group: u32, lane: u32) {
+    let run = runs[frame.first_run + segment.index];
+    let asked = asked_slots(run);
+    let place = lane / TESTERS;
+    let tester = lane % TESTERS;
+    let index = group * ASKED + place;
+    var slot = NO_TURN;
+    if index < asked.count {
+        if AGAIN {
+            slot = turn_slots[asked.first + index].x;
+        } else {
+            slot = slot_in_turn(asked, index);
+        }
+    }
+    if slot != NO_TURN {
+        atomicOr(&found[place], shown_of(slot, tester));
+    }
+    workgroupBarrier();
+    if slot == NO_TURN || tester != 0u {
+        return;
+    }
+    let shown = atomicLoad(&found[place]);
+    if AGAIN {
+        turn_slots[asked.first + index].y &= shown;
+    } else {
+        list_slot(run, slot, shown);
+    }
+}
+
+// Asks several slots, one after the other.
+fn ask_alone(thread: u32) {
+    let run = runs[frame.first_run + segment.index];
+    let asked = asked_slots(run);
+    var index = thread * (ASKED / 64u);
+    let stop = min(index + ASKED / 64u, asked.count);
+    if AGAIN {
+        // Removes from drawn slots the parts that later draws have hidden.
+        for (; index < stop; index++) {
+            let word = turn_slots[asked.first + index];
+            turn_slots[asked.first + index].y = word.y & shown_of(word.x, 0u);
+        }
+        return;
+    }
     loop {
         // Seeks the next slot of this turn before any expensive work is done: see shared/resolve.
-        var word = NO_TURN;
-        loop {
-            if index >= stop {
-                break;
-            }
-            word = turns[frame.first_slot + run.first_slot + index];
+        var slot = NO_TURN;
+        while index < stop && slot == NO_TURN {
+            slot = slot_in_turn(asked, index);
             index++;
-            let bin = word >> TURN_SHIFT;
-            if bin >= begin && bin < end {
-                break;
-            }
-            word = NO_TURN;
         }
-        if word == NO_TURN {
+        if slot == NO_TURN {
             break;
         }
-        ask(run, word & TURN_SLOT);
+        list_slot(run, slot, shown_of(slot, 0u));
+    }
+}
+
+@compute @workgroup_size(64)
+fn cull_hidden(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(global_invocation_id) invocation: vec3<u32>,
+    @builtin(local_invocation_index) lane: u32,
+) {
+    begin_view(invocation.z);
+    if TESTERS > 1u {
+        ask_together(workgroup.x + workgroup.y * DISPATCH_ROW, lane);
+    } else {
+        ask_alone(invocation.x + invocation.y * DISPATCH_ROW * 64u);
     }
 }

@@ -44,7 +44,7 @@ fn launch_portions() {
                 far = max(far, end);
             }
         }
-        set_launch(segments + segment, (far + 64u * ASKED_EACH - 1u) / (64u * ASKED_EACH), views);
+        set_launch(segments + segment, (far + ASKED - 1u) / ASKED, views);
         set_launch(2u * segments + segment, listed, views);
         asked = max(asked, far);
     }

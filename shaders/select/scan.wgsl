@@ -28,6 +28,10 @@ override ELEMENTS_EACH: u32 = 1024u;
 // Pixels of the image that have to be covered for a box to be hidden.
 const TESTED_PX: f32 = 64.0;
 
+// What `layers_of` tells of each depth bin, and how much of the image its slots cover.
+var<workgroup> bin_layers: array<f32, DEPTH_BINS>;
+var<workgroup> bin_covers: array<f32, DEPTH_BINS>;
+
 // How many times the slots of one depth bin cover the rows that they occupy.
 fn layers_of(at: u32) -> f32 {
     let rows = max(depths[at + DEPTH_TOPS] + depths[at + DEPTH_BOTTOMS], frame.size_px.y + 1u) - frame.size_px.y;
@@ -54,8 +58,8 @@ fn find_turns(slots: u32) {
     var layers = 0.0;
     var covered = 0.0;
     for (var bin = 0u; bin < DEPTH_BINS; bin++) {
-        layers += layers_of(first + bin);
-        covered += f32(depths[first + bin]) / f32(COVER_ONE);
+        layers += bin_layers[bin];
+        covered += bin_covers[bin];
     }
     let behind = max(layers - NEAR_LAYERS, 0.0);
     let turns = worthwhile_turns(f32(slots), covered * f32(frame.size_px.x) * f32(frame.size_px.y), layers, behind);
@@ -66,7 +70,7 @@ fn find_turns(slots: u32) {
         let share = f32(turn) / f32(max(turns, 1u));
         let end = NEAR_LAYERS + behind * share * share;
         while bin < DEPTH_BINS && (layers < end || turn >= turns) {
-            layers += layers_of(first + bin);
+            layers += bin_layers[bin];
             bin++;
         }
         depths[first + DEPTH_ENDS + turn] = bin;
@@ -87,6 +91,13 @@ fn scan(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         sum += group_counts[base + i];
     }
     partial[lane] = sum;
+    if HIDES {
+        let record = frame.view * DEPTHS_WORDS;
+        for (var bin = lane; bin < DEPTH_BINS; bin += 64u) {
+            bin_layers[bin] = layers_of(record + bin);
+            bin_covers[bin] = f32(depths[record + bin]) / f32(COVER_ONE);
+        }
+    }
     workgroupBarrier();
     var running = 0u;
     for (var i = 0u; i < lane; i++) {

@@ -10,6 +10,8 @@ override SURFACES: bool = true;
 // Two numbers of that surface. Its end is one over a depth, whose lowest bits say which side is seen. The other is how much shines through.
 @group(0) @binding(10) var<storage, read_write> paint_ends: array<vec2<f32>>;
 
+// How much more a surface hides; see docs/painted.md.
+const CLOSING: f32 = 0.2;
 // Behind this alpha, even white changes no byte of a pixel.
 const OPAQUE: f32 = 0.9998;
 
@@ -18,7 +20,14 @@ fn under(over: vec4<f32>, color: vec3<f32>, alpha: f32) -> vec4<f32> {
     return over + vec4<f32>(color, 1.0) * (alpha * (1.0 - over.a));
 }
 
+// Returns how much shines through a surface, given what would shine through its splats one after the other: less where they lie over each other,
+// because there the surface goes on. A single splat at the surface's border hides nearly as much as by itself.
+fn through_surface(through: f32) -> f32 {
+    let layers = -log(max(through, 1e-30));
+    return exp(-layers * fma(CLOSING, layers, 1.0));
+}
+
 // Returns the canvas of a pixel with the surface that was being painted.
 fn with_surface(over: vec4<f32>, sums: vec4<f32>, through: f32) -> vec4<f32> {
-    return select(over, under(over, sums.rgb / sums.a, 1.0 - through), sums.a > 0.0);
+    return select(over, under(over, sums.rgb / sums.a, 1.0 - through_surface(through)), sums.a > 0.0);
 }

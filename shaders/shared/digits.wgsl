@@ -35,13 +35,15 @@ fn begin_counts(worker: u32) {
 var<workgroup> begins: array<u32, 257>;
 
 fn add_up_values(lane: u32) {
+    for (var value = lane; value < VALUES; value += LANES) {
+        begins[value + 1u] = paint_counts[VALUES * WORKERS + value];
+    }
+    workgroupBarrier();
     if lane == 0u {
-        var running = 0u;
+        begins[0] = 0u;
         for (var value = 0u; value < VALUES; value++) {
-            begins[value] = running;
-            running += paint_counts[VALUES * WORKERS + value];
+            begins[value + 1u] += begins[value];
         }
-        begins[VALUES] = running;
     }
     workgroupBarrier();
 }

@@ -26,8 +26,8 @@ const DEPTHS_WORDS: u32 = 1560u;
 const TURN_SHIFT: u32 = 22u;
 const TURN_SLOT: u32 = 0x3fffffu;
 const NO_TURN: u32 = 0xffffffffu;
-// Far slots that a thread goes through.
-const ASKED_EACH: u32 = 8u;
+// Far slots that a workgroup of 64 threads goes through.
+override ASKED: u32 = 512u;
 // Far slots are asked in at most so many turns, each after nearer slots have been drawn.
 const TURNS: u32 = 7u;
 // Parts of the image, of which a slot covers so many at most.

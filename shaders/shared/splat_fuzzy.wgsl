@@ -21,7 +21,7 @@ fn emit(splat: Splat, paint: Paint, pixel: u32, d: vec2<f32>, q: f32) -> bool {
     let tag = slab_tag(slab, splat.facing);
     let shares = paint.color * weight * vec3<f32>(1.0, 1.0, BLUE_STEPS);
     // Rounded to the nearest, what is dark would be black.
-    let carry = select(vec3<f32>(0.5), vec3<f32>(carry_of(weight, pixel, inverse)), shares < vec3<f32>(1.5));
+    let carry = select(vec3<f32>(0.5), vec3<f32>(carry_of(weight, pixel, paint.key)), shares < vec3<f32>(1.5));
     let c = vec3<u32>(floor(shares + carry));
     let low = c.b | (c.g << 12u) | (c.r << 25u);
     let high = (c.r >> 7u) | (u32(weight) << 6u);

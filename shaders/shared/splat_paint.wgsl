@@ -19,6 +19,8 @@ struct Paint {
     color: vec3<f32>,
     // n · ½ + ½ in world space, towards the eye; short of what looks everywhere.
     normal: vec3<f32>,
+    // A number of the sample's own, whatever the view.
+    key: u32,
 }
 
 fn paint_slot(slot: SplatSlot) -> PaintSlot {
@@ -38,6 +40,8 @@ fn paint_of(slot: SplatSlot, shared_paint: PaintSlot, sample: u32) -> Paint {
         return paint;
     }
     let packed = attributes[slot.first + sample];
+    let place = positions[slot.first + sample];
+    paint.key = place.x ^ (place.y * 0x9e3779b1u) ^ slot.key;
     var normal = vec3<f32>(0.0);
     if OUTPUT == OUTPUT_NORMAL || DEFERRED || LIT {
         // Unit, turned towards the eye; zero where the sample has none.
@@ -65,9 +69,10 @@ fn paint_of(slot: SplatSlot, shared_paint: PaintSlot, sample: u32) -> Paint {
 // smaller than a pixel, or where so many overlap that weights had to be made smaller.
 const LIGHT: f32 = 256.0;
 
-// The addend before rounding down: a half, and of light weights anything up to 1, by the place that is painted, so that
-// sums are right on the average and the same each time.
-fn carry_of(weight: f32, pixel: u32, inverse: f32) -> f32 {
-    let hash = (bitcast<u32>(inverse) ^ (pixel * 0x85ebca6bu)) * 0x9e3779b1u;
+// The addend before rounding down: a half, and of light weights anything up to 1, by sample and pixel, so that sums are right on the average. It
+// does not depend on the view: a camera that hardly moves changes hardly any pixel.
+fn carry_of(weight: f32, pixel: u32, key: u32) -> f32 {
+    let mixed = (key ^ (key >> 16u)) * 0x7feb352du;
+    let hash = (mixed ^ (mixed >> 15u) ^ (pixel * 0x85ebca6bu)) * 0x9e3779b1u;
     return select(0.5, f32((hash ^ (hash >> 15u)) >> 8u) * 5.9604645e-8, weight < LIGHT);
 }

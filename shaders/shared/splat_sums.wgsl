@@ -31,7 +31,7 @@ fn emit(splat: Splat, paint: Paint, pixel: u32, d: vec2<f32>, q: f32) -> bool {
         return true;
     }
     let weight = splat_weight(splat, q);
-    let carry = carry_of(weight, pixel, inverse);
+    let carry = carry_of(weight, pixel, paint.key);
     if needs_depth() {
         weigh(pixel, 0u, u32(weight));
         // Much nearer to the eye than the splat is wide, it is still before the eye.

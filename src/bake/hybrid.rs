@@ -8,11 +8,14 @@
 //! covers them, and only small ones are rasterised ([`rasterise`](super::rasterise)), with about one sample for each triangle of
 //! usual size.
 
+use std::f32::consts::PI;
+
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::kernels::{CUTOFF, circle};
 use super::pack::ALWAYS;
+use super::rasterise::replaced::Replaced;
 use super::rasterise::{RasteriseOptions, rasterise_replacing};
 use super::sample::SampleError;
 use super::sample::color::Colors;
@@ -149,17 +152,20 @@ pub fn hybrid_mesh(
         part_of(mesh, |triangle| !is_large(sides[triangle]) && !translucent[triangle]);
     let options = RasteriseOptions { spacing: Some(spacing), max_samples };
     let small_sides: Vec<f64> = numbers.iter().map(|&number| sides[number as usize]).collect();
-    let (rasterised, shortest) =
+    let (rasterised, replaced) =
         rasterise_replacing(&small, materials, textures, &options, &small_sides)?;
     let mut samples = rasterised.cloud;
     samples.radii = None;
     let stand = |side: f64, area: f32| {
         let error = side.max(spacing) as f32;
-        Measures { error, size: error, area }
+        Measures { error, size: error, area, cone: 0.0 }
     };
     let areas = areas(&small, &rasterised.triangles);
-    let mut stands: Vec<Measures> =
-        shortest.iter().zip(areas).map(|(&side, area)| stand(side, area)).collect();
+    let of_sample = |(replaced, area): (&Replaced, f32)| Measures {
+        cone: replaced.cone,
+        ..stand(replaced.side, area)
+    };
+    let mut stands: Vec<Measures> = replaced.iter().zip(areas).map(of_sample).collect();
     let colors = Colors::of(mesh, materials, textures);
     for (number, &triangle) in mesh.triangles.iter().enumerate() {
         if !is_large(sides[number]) {
@@ -173,9 +179,11 @@ pub fn hybrid_mesh(
         let normal = (b - a).cross(c - a).normalize_or_zero().as_vec3();
         samples.positions.push(centre);
         samples.colors.get_or_insert_default().push(color);
-        samples.normals.get_or_insert_default().push(outward(mesh, triangle, normal));
+        let shown = outward(mesh, triangle, normal);
+        samples.normals.get_or_insert_default().push(shown);
         samples.kernels.get_or_insert_default().push(circle(normal, reach as f32 / CUTOFF));
-        stands.push(stand(sides[number], area_of(corners) as f32));
+        let cone = if shown == normal { 0.0 } else { PI };
+        stands.push(Measures { cone, ..stand(sides[number], area_of(corners) as f32) });
     }
     let limit = max_samples;
     let count = samples.positions.len() as u64;

@@ -25,7 +25,7 @@
 
 mod cover;
 mod facet;
-mod replaced;
+pub(super) mod replaced;
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -36,6 +36,7 @@ use rayon::prelude::*;
 use self::cover::Index;
 use self::facet::Sample;
 use self::facet::{Facet, Grid};
+use self::replaced::Replaced;
 use super::sample::SampleError;
 use super::sample::color::Colors;
 use crate::assets::{Material, Mesh, PointCloud, Texture};
@@ -110,8 +111,7 @@ pub fn rasterise_mesh(
     rasterise(mesh, materials, textures, options, None).map(|(rasterised, _)| rasterised)
 }
 
-/// Samples a mesh as [`rasterise_mesh`] does. `sides` are lengths of the triangles; also returns for each sample the shortest of
-/// all triangles that the sample replaces ([`replaced`]).
+/// Samples a mesh as [`rasterise_mesh`] does. `sides` are lengths of the triangles; also returns what each sample replaces.
 ///
 /// # Errors
 /// See [`rasterise_mesh`].
@@ -121,7 +121,7 @@ pub(super) fn rasterise_replacing(
     textures: &[Texture],
     options: &RasteriseOptions,
     sides: &[f64],
-) -> Result<(RasterisedMesh, Vec<f64>), SampleError> {
+) -> Result<(RasterisedMesh, Vec<Replaced>), SampleError> {
     rasterise(mesh, materials, textures, options, Some(sides))
 }
 
@@ -131,7 +131,7 @@ fn rasterise(
     textures: &[Texture],
     options: &RasteriseOptions,
     sides: Option<&[f64]>,
-) -> Result<(RasterisedMesh, Vec<f64>), SampleError> {
+) -> Result<(RasterisedMesh, Vec<Replaced>), SampleError> {
     let extent = Extent::of(mesh);
     let limit = options.max_samples.min(u64::from(u32::MAX) - 1);
     let most = (0.5 * limit as f64).max(1.0);
@@ -139,7 +139,7 @@ fn rasterise(
     let wanted = wanted.max(LEAST_AUTOMATIC).min(most);
     let mut spacing = options.spacing.unwrap_or_else(|| (extent.area / wanted).sqrt());
     if extent.area == 0.0 && options.spacing.is_none() {
-        return Ok(<(RasterisedMesh, Vec<f64>)>::default());
+        return Ok(<(RasterisedMesh, Vec<Replaced>)>::default());
     }
     if !(spacing > 0.0 && spacing.is_finite()) {
         return Err(SampleError::Spacing { spacing });
@@ -156,8 +156,8 @@ fn rasterise(
     };
     let grid = Grid::new(extent.low, spacing);
     let (samples, colors) = colored(samples, &grid, mesh, &Colors::of(mesh, materials, textures));
-    let shortest = sides.map(|sides| replaced::shortest(mesh, &grid, &samples, sides));
-    Ok((finish(&samples, colors, &grid), shortest.unwrap_or_default()))
+    let replaced = sides.map(|sides| replaced::by_samples(mesh, &grid, &samples, sides));
+    Ok((finish(&samples, colors, &grid), replaced.unwrap_or_default()))
 }
 
 /// Figures of all triangles together.

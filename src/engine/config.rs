@@ -74,6 +74,9 @@ pub struct EngineConfig {
     /// work.
     #[doc(hidden)]
     pub large_units_limit: Option<u32>,
+    /// For tests: launches passes as on a GPU even if the adapter is a CPU.
+    #[doc(hidden)]
+    pub like_a_gpu: bool,
     /// For measurements and tests: whether large triangles go to the rasteriser; `None`: the measured best.
     #[doc(hidden)]
     pub rasterise: Option<bool>,
@@ -158,6 +161,7 @@ impl EngineConfig {
             small_triangle_px: None,
             draw_hidden: false,
             small_splat_px: None,
+            like_a_gpu: false,
             rasterise: None,
             large_units_limit: None,
             estimate_at_once: ESTIMATE_AT_ONCE,

@@ -283,7 +283,7 @@ impl<'a> Roots<'a> {
         if !(position.is_finite() && scale.is_finite()) {
             return None;
         }
-        let Measures { error, size, area } = root.measures;
+        let Measures { error, size, area, cone } = root.measures;
         let (normal, area_scale) = area_under(&map.matrix3, root.normal);
         Some(Root {
             position,
@@ -294,6 +294,7 @@ impl<'a> Roots<'a> {
                 error: error * scale,
                 size: size * scale,
                 area: area * area_scale as f32,
+                cone,
             },
         })
     }

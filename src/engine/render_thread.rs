@@ -33,6 +33,7 @@ pub fn run(state: &Arc<EngineState>, opened: impl FnOnce(Result<(), GpuError>)) 
     let options = GpuOptions {
         force_32_bit: state.config.force_32_bit,
         rasterise: state.config.rasterise,
+        like_a_gpu: state.config.like_a_gpu,
         adapter: None,
         max_binding_bytes: state.config.max_binding_bytes,
         pipeline_folder: state.config.prime.as_ref().and_then(|prime| prime.folder.clone()),

@@ -16,6 +16,8 @@ pub struct GpuOptions {
     pub force_32_bit: bool,
     /// Whether large triangles go to the rasteriser; `None` for what was measured to be faster on this kind of adapter.
     pub rasterise: Option<bool>,
+    /// Takes a software adapter for a GPU.
+    pub like_a_gpu: bool,
     /// Part of the adapter's name, ignoring case. Also read from `POINTILLIST_ADAPTER`.
     pub adapter: Option<String>,
     /// Upper bound on the bytes of a binding, even if the adapter allows more.
@@ -129,7 +131,7 @@ impl Gpu {
             )));
         }
         let features = wanted_features(adapter.features(), options.force_32_bit);
-        let is_cpu = info.device_type == wgpu::DeviceType::Cpu;
+        let is_cpu = info.device_type == wgpu::DeviceType::Cpu && !options.like_a_gpu;
         let has_integers = features.contains(wgpu::Features::SHADER_INT64);
         let rasterises = options.rasterise.unwrap_or(!is_cpu) || !has_integers;
         let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {

@@ -18,6 +18,9 @@ use super::prepare::Prepared;
 use super::splats::{Settings, Touch};
 use super::visibility::{Hit, band_rows, pixel_ray};
 
+/// How much more a surface hides than its splats one after the other, for each e-fold that they hide.
+const CLOSING: f64 = 0.2;
+
 /// A pixel on the way from front to back.
 #[derive(Clone, Copy, Default)]
 struct Canvas {
@@ -70,7 +73,9 @@ impl Canvas {
         let surface = std::mem::take(&mut self.surface);
         if surface.weight > 0.0 {
             let color = surface.color.map(|channel| channel / surface.weight);
-            self.under(color, 1.0 - surface.through);
+            // Where splats of a surface lie over each other, it hides more than they do one after the other: it goes on there.
+            let layers = -surface.through.ln();
+            self.under(color, 1.0 - (-layers * (1.0 + CLOSING * layers)).exp());
         }
     }
 }

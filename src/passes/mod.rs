@@ -25,6 +25,7 @@ mod scratch;
 mod select;
 pub mod shaders;
 mod slabs;
+mod spread;
 mod uniforms;
 mod windows;
 

@@ -12,6 +12,7 @@ use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 
 use super::shaders::{self, Choices};
+use super::spread;
 use crate::gpu::Gpu;
 use crate::gpu::pipeline::{ComputePipeline, RasterPipeline};
 use crate::gpu::shader::ShaderError;
@@ -253,13 +254,13 @@ fn adapted(variant: Variant, facts: (bool, bool, bool)) -> Variant {
         let root = Pass::RasteriseTriangles.shader();
         return Variant { root, choices, constants };
     }
-    let lanes = |(name, value): (Cow<'static, str>, u32)| {
-        let value = if name == "LANES" && !is_cpu { 64 } else { value };
-        (name, value)
+    let launched = |(name, value): (Cow<'static, str>, u32)| {
+        let known = spread::overrides(is_cpu).into_iter().find(|(own, _)| *own == name);
+        (name, known.map_or(value, |(_, value)| value))
     };
     Variant {
         choices: Choices { subgroups, ..variant.choices },
-        constants: variant.constants.into_iter().map(lanes).collect(),
+        constants: variant.constants.into_iter().map(launched).collect(),
         ..variant
     }
 }

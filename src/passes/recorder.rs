@@ -7,8 +7,9 @@ use super::bindings::Names;
 use super::frame::FrameTask;
 use super::levels::Levels;
 use super::pipelines::{Constants, Pipelines};
-use super::scratch::{Scratch, lanes};
+use super::scratch::Scratch;
 use super::shaders::{Choices, Portion, Visibility};
+use super::spread;
 use super::uniforms::{DIGITS, GroupUniforms};
 use super::windows::{COVERED_BYTES, FRAGMENT_BYTES, LAYERS};
 use crate::bake::pack::{GeometryKind, PageKind};
@@ -214,7 +215,8 @@ impl<'a, 'c> Recorder<'a, 'c> {
 
     /// The override of `shared/lanes`.
     pub fn lanes(&self) -> (&'static str, u32) {
-        ("LANES", lanes(self.context.gpu.is_cpu))
+        let [lanes, ..] = spread::overrides(self.context.gpu.is_cpu);
+        lanes
     }
 
     /// Whether what is hidden by what is nearer is looked for, as an override.

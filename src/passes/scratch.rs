@@ -4,6 +4,7 @@ use std::collections::HashMap;
 
 use super::frame::FrameTask;
 use super::levels::Levels;
+use super::spread::{lanes, painters, sort_workers};
 use super::windows::{COVERED_BYTES, FRAGMENT_BYTES, most_pixels};
 use crate::gpu::Gpu;
 use crate::gpu::buffer;
@@ -120,9 +121,7 @@ const PAINT_LIST_BYTES: u64 = 16 + 4 * (DIGIT_VALUES as u64 + 1);
 pub const DIGIT_VALUES: u32 = 256;
 /// Bytes of what splats cover of a pixel: colour and alpha.
 pub const PAINTED_BYTES: u64 = 16;
-/// Tiles along each side of the image; as in `shared/painted`.
-const TILES: u32 = 16;
-/// Threads of a workgroup that paints, at most, and what each of them keeps between launches.
+/// Threads of a workgroup that paints a band, at most, and what each of them keeps between launches.
 const PAINTERS: u64 = 64;
 const CURSOR_BYTES: u64 = 8;
 /// Launches that paint, at most.
@@ -247,7 +246,7 @@ impl Scratch {
             self.painted.reserve(gpu, pixels * PAINTED_BYTES);
             self.paint_sums.reserve(gpu, pixels * PAINTED_BYTES);
             self.paint_ends.reserve(gpu, pixels * 8);
-            self.paint_cursors.reserve(gpu, cursors_bytes(height, gpu.is_cpu));
+            self.paint_cursors.reserve(gpu, cursors_bytes((width, height), gpu.is_cpu));
         }
         if task.composites() {
             let pixels = pixels.min(task.window_pixels.into());
@@ -389,26 +388,12 @@ impl Scratch {
     }
 }
 
-/// Threads that take a chunk of samples. A CPU has few.
-pub fn lanes(is_cpu: bool) -> u32 {
-    if is_cpu { 8 } else { 64 }
-}
-
-/// Threads that sort painted splats, each a share of them. A CPU has few.
-pub fn sort_workers(is_cpu: bool) -> u32 {
-    if is_cpu { 256 } else { 8192 }
-}
-
-/// Rows of a band of a tile, and bands of a tile, of an image of this height. A workgroup of a GPU should have few rows.
-pub fn paint_bands(height: u32, is_cpu: bool) -> (u32, u32) {
-    let rows = if is_cpu { 32 } else { 8 };
-    (rows, height.div_ceil(TILES).div_ceil(rows))
-}
-
-/// Size of the cursors of all threads that paint.
-pub fn cursors_bytes(height: u32, is_cpu: bool) -> u64 {
-    let (_, bands) = paint_bands(height, is_cpu);
-    u64::from(DIGIT_VALUES * bands) * PAINTERS * CURSOR_BYTES
+/// Size of the cursors of all threads that paint. Those of a GPU need none.
+pub fn cursors_bytes(size: (u32, u32), is_cpu: bool) -> u64 {
+    if !is_cpu {
+        return CURSOR_BYTES;
+    }
+    u64::from(DIGIT_VALUES * painters(size, is_cpu)) * PAINTERS * CURSOR_BYTES
 }
 
 fn record_bytes(has_clip_lines: bool) -> u64 {

@@ -8,7 +8,7 @@ use pointillist::scene::Filter;
 use pointillist::scene::random::SplitMix64;
 use serde_json::json;
 
-use super::sheets::{Triangulation, ball, sheet, split};
+use super::sheets::{Triangulation, ball, crumpled, sheet, split};
 use super::studio::{Studio, cloud, cloud_scene, front, ids, mesh, spt};
 
 /// Pixels of the background that are not connected with the frame's border.
@@ -65,10 +65,16 @@ fn irregular_meshes_have_no_holes_as_point_trees() {
     let even = sheet(90, 0.45, 1.0, &mut random);
     let graded = sheet(90, 0.3, 2.0, &mut random);
     let divided = split(sheet(70, 0.4, 1.0, &mut random), 0.5, &mut random);
-    let ball = ball(50, 0.4, &mut random);
-    for (name, triangulation) in
-        [("even", even), ("graded", graded), ("divided", divided), ("ball", ball)]
-    {
+    let round = ball(50, 0.4, &mut random);
+    // Back faces of solids are not drawn. Samples stand for triangles that face other ways than they do.
+    let solid = crumpled(ball(60, 0.4, &mut random), 0.1, &mut random);
+    for (name, triangulation) in [
+        ("even", even),
+        ("graded", graded),
+        ("divided", divided),
+        ("ball", round),
+        ("crumpled", solid),
+    ] {
         load_mesh(&studio, name, triangulation);
         for distance in [3.3, 4.0, 4.8, 5.6, 6.6, 8.0] {
             for px in [0.5, 1.0, 2.0, 4.0] {

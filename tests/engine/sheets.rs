@@ -80,3 +80,12 @@ pub fn ball(rings: u32, jitter: f64, random: &mut impl FnMut() -> f64) -> Triang
     let is_whole = |[a, b, c]: &[u32; 3]| a != b && b != c && c != a;
     (positions, (0..rings * columns).flat_map(quad).filter(is_whole).collect())
 }
+
+/// A ball whose vertices are moved towards its centre by up to `depth`: neighbouring triangles face very different ways.
+pub fn crumpled(
+    (positions, triangles): Triangulation,
+    depth: f64,
+    random: &mut impl FnMut() -> f64,
+) -> Triangulation {
+    (positions.into_iter().map(|at| at * (1.0 - depth * random())).collect(), triangles)
+}

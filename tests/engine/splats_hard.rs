@@ -532,6 +532,27 @@ fn a_small_step_of_the_pose_is_a_small_step_of_the_image() {
     }
 }
 
+/// Sums of a single pass are rounded by sample and pixel, not by where the camera is.
+#[test]
+fn a_tiny_step_changes_hardly_any_pixel_of_a_single_pass() {
+    let studio = Studio::with(roomy);
+    studio.write("sheet.ply", disks(&gradient()));
+    studio.load_json("sheet", &one_cloud("sheet.ply", json!([])));
+    let way = Settings::drawn_as(Reconstruct::Fuzzy);
+    let frame = |step: f64| {
+        let moved = DVec3::new(1e-6, 7e-7, 0.0) * step;
+        let pose = looking(DVec3::new(0.31, -0.7, 2.3) + moved, moved, 45.0);
+        studio.bytes(&request("sheet", pose, way, Output::Color, [96, 64]))
+    };
+    let before = frame(0.0);
+    for step in 1..4 {
+        let after = frame(f64::from(step));
+        let pairs = before.chunks_exact(4).zip(after.chunks_exact(4));
+        let changed = pairs.filter(|(a, b)| a != b).count();
+        assert!(changed <= 60, "step {step}: {changed} of 6144 pixels");
+    }
+}
+
 fn assert_small_step(before: &[u8], after: &[u8], output: Output, what: &str) {
     match output {
         Output::Depth => {

@@ -42,9 +42,10 @@ static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
 });
 
 fn engine(force_32_bit: bool, rasterise: bool) -> Engine {
-    let (draw_hidden, rasterise) = (rasterise, Some(rasterise));
+    let (draw_hidden, rasterise, like_a_gpu) = (rasterise, Some(rasterise), force_32_bit);
     let config = EngineConfig::new(&*FOLDER);
-    Engine::start(EngineConfig { force_32_bit, rasterise, draw_hidden, ..config }).unwrap()
+    let config = EngineConfig { force_32_bit, rasterise, draw_hidden, like_a_gpu, ..config };
+    Engine::start(config).unwrap()
 }
 
 fn engines() -> [&'static Engine; 3] {
@@ -64,7 +65,7 @@ fn remove_old(runs: &Path) {
 
 /// The engine with 64-bit atomics, if the adapter has them.
 static WIDE: LazyLock<Engine> = LazyLock::new(|| engine(false, false));
-/// The engine without 64-bit atomics.
+/// The engine without 64-bit atomics, which launches its passes as on a GPU.
 static NARROW: LazyLock<Engine> = LazyLock::new(|| engine(true, false));
 /// The engine with the adapter's rasteriser for large triangles instead of the walk in compute, which also draws hidden chunks.
 static RASTERISING: LazyLock<Engine> = LazyLock::new(|| engine(false, true));

@@ -114,6 +114,11 @@ fn solids_are_watertight_and_sheets_are_not() {
         split.triangles.push([first, first + 1, first + 2]);
     }
     assert!(is_watertight(&split));
+    let mut numbers = SplitMix64::new(5);
+    let mut random = || numbers.unit();
+    let (positions, triangles) =
+        sheets::crumpled(sheets::ball(60, 0.4, &mut random), 0.1, &mut random);
+    assert!(is_watertight(&Mesh { positions, triangles, ..Mesh::default() }));
 }
 
 #[test]

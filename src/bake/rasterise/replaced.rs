@@ -1,4 +1,4 @@
-//! The triangles that each sample replaces where triangles are too small to be drawn.
+//! The triangles that each sample replaces where triangles are too small to be drawn: the smallest of them, and which ways they face.
 //!
 //! A triangle's own samples lie at the centres of the cells that it contains. The rest of the triangle, its parts in cells about
 //! its outline, lies under disks of other triangles' samples. Where the triangle is not drawn, these have to be. For each such part,
@@ -6,20 +6,45 @@
 //! sample does not cover the part, another one does: the one of the smallest triangle, which needs the least change.
 
 use std::cell::Cell;
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::f32::consts::PI;
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
+
+use glam::Vec3;
+use rayon::prelude::*;
 
 use super::cover::Index;
-use super::facet::{Facet, Grid, Sample};
+use super::facet::{self, Facet, Grid, Sample};
 use super::outer_parts;
 use crate::assets::Mesh;
 
-/// For each sample the smallest of the `sides` of the triangles that it replaces, of which its own is one.
-pub(super) fn shortest(mesh: &Mesh, grid: &Grid, samples: &[Sample], sides: &[f64]) -> Vec<f64> {
+/// What a sample replaces: its own triangle, and others of which parts lie under its disk.
+#[derive(Clone, Copy, Debug)]
+pub struct Replaced {
+    /// The shortest of their sides.
+    pub side: f64,
+    /// The largest angle between their normals and the sample's, in radians.
+    pub cone: f32,
+}
+
+/// Returns what each sample replaces of a mesh whose triangles have these `sides`.
+pub(super) fn by_samples(
+    mesh: &Mesh,
+    grid: &Grid,
+    samples: &[Sample],
+    sides: &[f64],
+) -> Vec<Replaced> {
     let index = Index::of(samples);
     let own = |number: u32| sides[samples[number as usize].triangle as usize];
+    let angle = |sample: &Sample, normal: Vec3| sample.normal.dot(normal).clamp(-1.0, 1.0).acos();
     // Bits of numbers that are not negative have the order of the values.
-    let shortest: Vec<AtomicU64> =
-        (0u32..).take(samples.len()).map(|number| AtomicU64::new(own(number).to_bits())).collect();
+    let found: Vec<(AtomicU64, AtomicU32)> = samples
+        .par_iter()
+        .enumerate()
+        .map(|(number, sample)| {
+            let cone = normal_of(mesh, sample.triangle).map_or(PI, |normal| angle(sample, normal));
+            (AtomicU64::new(own(number as u32).to_bits()), AtomicU32::new(cone.to_bits()))
+        })
+        .collect();
     let visit = |facet: &Facet, cell: [i64; 2], _: &mut Vec<()>| {
         let side = sides[facet.triangle as usize];
         let part = facet.part(cell);
@@ -38,9 +63,21 @@ pub(super) fn shortest(mesh: &Mesh, grid: &Grid, samples: &[Sample], sides: &[f6
             index.any(samples, facet, part.points(), &mut accept);
         }
         if let Some((_, number)) = best.get() {
-            shortest[number as usize].fetch_min(side.to_bits(), Relaxed);
+            let (shortest, cone) = &found[number as usize];
+            shortest.fetch_min(side.to_bits(), Relaxed);
+            let apart = angle(&samples[number as usize], facet.normal.as_vec3());
+            cone.fetch_max(apart.to_bits(), Relaxed);
         }
     };
     outer_parts(mesh, grid, 0..mesh.triangles.len(), visit);
-    shortest.into_iter().map(|side| f64::from_bits(side.into_inner())).collect()
+    let read = |(side, cone): (AtomicU64, AtomicU32)| Replaced {
+        side: f64::from_bits(side.into_inner()),
+        cone: f32::from_bits(cone.into_inner()),
+    };
+    found.into_iter().map(read).collect()
+}
+
+fn normal_of(mesh: &Mesh, triangle: u32) -> Option<Vec3> {
+    let [a, b, c] = facet::corners(mesh, *mesh.triangles.get(triangle as usize)?)?;
+    (b - a).cross(c - a).try_normalize().map(|normal| normal.as_vec3())
 }

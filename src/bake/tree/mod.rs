@@ -71,7 +71,7 @@ use crate::math::Bounds;
 /// Version of the trees that are built from an asset: part of the key that trees are cached by. Raise it whenever the trees of
 /// some asset change, wherever the change is: in this folder, [`super::hybrid`], [`super::line_levels`],
 /// `bake/rasterise.rs` or [`super::pack`].
-pub const BAKING_VERSION: u32 = 13;
+pub const BAKING_VERSION: u32 = 14;
 /// Hash of the trees that this version bakes from the assets of `tree/version.rs`. Its test fails if the trees change and the
 /// version does not.
 #[cfg(test)]
@@ -145,13 +145,14 @@ pub fn build_over_instances(
     Ok((packed, above.collect()))
 }
 
-/// The error of a node, its size (the measure used where samples are drawn as one pixel each), both in units of the positions,
-/// and its area. An area of 0 means the area of the kernel.
+/// What a leaf stands for: its error, its size (the measure used where samples are drawn as one pixel each), both in units of the positions, its
+/// area, and the largest angle between its normal and those of what it stands for, in radians. An area of 0 means the area of the kernel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Measures {
     pub error: f32,
     pub size: f32,
     pub area: f32,
+    pub cone: f32,
 }
 
 /// The node above a whole tree: its measures, and the distance to its centre, in world units.
@@ -253,7 +254,7 @@ impl Root {
             normal: cloud.normals.map_or(Vec3::ZERO, |normals| normals[0]),
             color: cloud.colors.map_or([255; 4], |colors| colors[0]),
             radius,
-            measures: Measures { error: value(error), size: value(size), area },
+            measures: Measures { error: value(error), size: value(size), area, cone: 0.0 },
         })
     }
 }

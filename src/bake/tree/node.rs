@@ -156,7 +156,7 @@ impl Node {
             lift: 0.0,
             // The clipped part of the disk is missing.
             spread: if is_clipped { radius } else { 0.0 },
-            cone: if normal == Vec3::ZERO { PI } else { 0.0 },
+            cone: if normal == Vec3::ZERO { PI } else { known(stands.cone) },
             error: known(stands.error),
             even: known(stands.error),
             alike: false,

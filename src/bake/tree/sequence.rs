@@ -90,7 +90,7 @@ pub fn decode_delta([error, size]: [u32; 2], base: f32) -> f32 {
 /// The measures of a node that are coded: inner nodes have a minimum size.
 pub fn measures_of(node: &Node, step: f32) -> Measures {
     let least = if node.level > 0 { LEAST_SIZE * step } else { 0.0 };
-    Measures { error: node.error, size: node.size.max(least), area: 0.0 }
+    Measures { error: node.error, size: node.size.max(least), ..Measures::default() }
 }
 
 /// The base of the codes, in cells: twice the largest measure, so that no node's own code equals [`NO_PARENT`].

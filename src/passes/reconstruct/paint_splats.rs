@@ -2,8 +2,9 @@
 
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::{Call, Launch, Recorder};
-use crate::passes::scratch::{DIGIT_VALUES, paint_bands};
+use crate::passes::scratch::DIGIT_VALUES;
 use crate::passes::shaders::Choices;
+use crate::passes::spread::{PAINT_BAND, painters};
 use crate::plan::Pass;
 use crate::scene::{PAINT_LAYERS, PAINT_WIDTH_PERCENT, Painting};
 
@@ -16,21 +17,23 @@ pub fn surfaces(recorder: &Recorder) -> u32 {
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let (task, is_cpu) = (recorder.task, recorder.context.gpu.is_cpu);
     let hides = task.plan.runs(Pass::ProjectTriangles) || task.plan.runs(Pass::ProjectLines);
-    let (rows, bands) = paint_bands(task.size().1, is_cpu);
+    // A workgroup of a GPU has a thread for each pixel of a square.
+    let lanes = if is_cpu { recorder.lanes() } else { ("LANES", 256) };
     let constants = vec![
         ("HIDES", u32::from(hides)),
         ("CLIPPED", u32::from(recorder.scene.has_clip_lines())),
         ("LAYERS", PAINT_LAYERS),
         ("WIDTH_PERCENT", PAINT_WIDTH_PERCENT),
         ("SURFACES", surfaces(recorder)),
-        ("BAND", rows),
-        recorder.lanes(),
+        ("BAND", PAINT_BAND),
+        ("PIXELWISE", u32::from(!is_cpu)),
+        lanes,
     ];
     recorder.compute(Call {
         choices: Choices::default(),
         constants,
         // Each launch goes on where the one before it stopped.
         segments: &vec![None; task.paint_launches as usize],
-        launch: Launch::Direct([DIGIT_VALUES, bands, 1]),
+        launch: Launch::Direct([DIGIT_VALUES, painters(task.size(), is_cpu), 1]),
     })
 }

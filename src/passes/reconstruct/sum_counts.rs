@@ -2,9 +2,12 @@
 
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::Recorder;
-use crate::passes::scratch::{DIGIT_VALUES, sort_workers};
+use crate::passes::scratch::DIGIT_VALUES;
+use crate::passes::spread::{sort_workers, summers};
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
-    let (workers, lanes) = (sort_workers(recorder.context.gpu.is_cpu), recorder.lanes());
-    recorder.rows(DIGIT_VALUES, 1, vec![("WORKERS", workers), lanes])
+    let is_cpu = recorder.context.gpu.is_cpu;
+    let (workers, summers) = (sort_workers(is_cpu), summers(is_cpu));
+    let constants = vec![("WORKERS", workers), recorder.lanes(), ("SUMMERS", summers)];
+    recorder.rows(DIGIT_VALUES, 1, constants)
 }

@@ -32,7 +32,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
         // Places where nothing is drawn have no key.
         let bytes = u64::from(task.paint_capacity) * 8;
         buffers.push((&scratch.paint_keys[0], Some(bytes)));
-        let cursors = cursors_bytes(height, recorder.context.gpu.is_cpu);
+        let cursors = cursors_bytes((width, height), recorder.context.gpu.is_cpu);
         buffers.push((&scratch.paint_cursors, Some(cursors)));
         buffers.push((&scratch.painted, Some(pixels * PAINTED_BYTES)));
         buffers.push((&scratch.paint_sums, Some(pixels * PAINTED_BYTES)));

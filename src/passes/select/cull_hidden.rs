@@ -4,6 +4,7 @@ use crate::bake::pack::GeometryKind;
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::{Call, Launch, Recorder};
 use crate::passes::shaders::Choices;
+use crate::passes::spread;
 use crate::plan::Stage;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
@@ -19,6 +20,8 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let splats = ("SPLATS", u32::from(!recorder.task.reconstruction.is_points()));
     let counts = ("COUNTS_SAMPLES", u32::from(!recorder.scene.has_trees()));
     let mut constants = vec![counts, splats, ("AGAIN", u32::from(again))];
+    let [_, asked, testers] = spread::overrides(recorder.context.gpu.is_cpu);
+    constants.extend([asked, testers]);
     constants.extend(recorder.task.reconstruction.discs().map(|_| ("DISCS", 1)));
     recorder.compute(Call {
         choices: Choices::default(),

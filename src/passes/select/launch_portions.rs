@@ -2,10 +2,12 @@
 
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::Recorder;
+use crate::passes::spread;
 use crate::plan::Stage;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     // Once the depths are known, all that is not hidden is drawn in one turn.
     let whole = recorder.stage != Stage::Project;
-    recorder.rows(1, 1, vec![("WHOLE", u32::from(whole))])
+    let [_, asked, _] = spread::overrides(recorder.context.gpu.is_cpu);
+    recorder.rows(1, 1, vec![("WHOLE", u32::from(whole)), asked])
 }
