@@ -6,7 +6,7 @@ use super::state::EngineState;
 use crate::bake::pack::GeometryKind;
 use crate::math::View;
 use crate::plan::auto::{self, Choice};
-use crate::plan::detail::{Detail, DetailGrounds, choose as choose_detail};
+use crate::plan::detail::{Costs, Detail, DetailGrounds, choose as choose_detail};
 use crate::plan::{Lod, Output, Settings};
 
 /// Decides how a frame with `lod=spt` is drawn. Returns the request as it is drawn, and why at full detail where the request does not ask
@@ -52,6 +52,7 @@ pub fn with_detail(
         full: &drawn_as(Lod::Full, counts.samples > 0),
         // Trees of meshes have samples as well.
         tree: &drawn_as(Lod::Spt, true),
+        costs: Costs::of(state.is_on_cpu()),
     });
     match choice {
         Detail::Full { because } => {

@@ -33,6 +33,7 @@ pub struct Adapter {
     pub atomics_64: bool,
     pub atomic_sums_64: bool,
     pub rasterises: bool,
+    pub is_cpu: bool,
     pub max_binding_bytes: u64,
     pub max_side: u32,
     pub budget: u64,
@@ -544,6 +545,11 @@ impl EngineState {
 
     pub fn adapter(&self) -> Adapter {
         self.adapter.read().clone()
+    }
+
+    /// Whether the adapter in use is a CPU.
+    pub fn is_on_cpu(&self) -> bool {
+        self.adapter.read().is_cpu
     }
 
     /// Publishes which scenes are on the GPU, and returns those of them that have been removed from the library.

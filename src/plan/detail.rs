@@ -2,7 +2,9 @@
 //!
 //! Full detail keeps within every accepted error. It is drawn where choosing the nodes of a tree would cost more than they save: a tree
 //! tests about `n · (κ s / e)²` nodes in place of `n` samples or triangles that lie `s` pixels apart, if nodes may be `e` pixels wide,
-//! and a node that is tested costs more than a sample that is drawn unasked. The [`Cost`]s were measured on two cores without a GPU.
+//! and a node that is tested costs more than a sample that is drawn unasked. The [`Costs`] of CPUs were measured on two cores, those of GPUs on an
+//! NVIDIA H200, where a frame of full detail takes hardly longer than its passes take to start: 1 to 8 million samples or 0.4 to 2.9 million triangles,
+//! 0.4 to 1.4 ms (statues and reliefs at 256² and 1024²).
 //!
 //! A frame of the tree differs from one of full detail, within the accepted error, in every part of the image at once. Therefore the error
 //! decreases before full detail takes over: to a quarter of the accepted one, over the last quarter of an octave of distance, where
@@ -17,14 +19,6 @@ use crate::math::View;
 const MOST_ELEMENTS: u64 = 8_000_000;
 const MOST_INSTANCES: u64 = 1024;
 
-/// Time of the passes that list chunks of trees, in ns.
-const LISTING_NS: f64 = 1.5e6;
-/// Time of a triangle of a mesh, in ns.
-const TRIANGLE_NS: f64 = 15.0;
-/// Time of a segment of a line that covers few pixels, in ns.
-const SEGMENT_NS: f64 = 130.0;
-/// Time of a splat for each square pixel of the square of its radius, in ns.
-const SPLAT_AREA_NS: f64 = 8.0;
 /// Time of the tree over that of full detail from which on the error decreases.
 const NEAR: f64 = 0.7;
 /// The smallest error, over the accepted one, just before full detail is drawn.
@@ -37,6 +31,7 @@ const BENDS: f64 = 1.0;
 const BENDS_POWER: f64 = 1.1;
 
 /// Cost of an element by the way that samples are drawn, in ns.
+#[derive(Debug)]
 struct Cost {
     /// A sample of full detail that is drawn.
     full: f64,
@@ -44,13 +39,56 @@ struct Cost {
     node: f64,
     /// A node of a mesh's tree, with the triangles that are left to draw.
     node_of_mesh: f64,
-    /// See [`SPLAT_AREA_NS`].
+    /// Each square pixel of the square of a splat's radius.
     area: f64,
 }
 
-const POINTS: Cost = Cost { full: 4.2, node: 20.0, node_of_mesh: 40.0, area: 0.0 };
-const DISCS: Cost = Cost { full: 20.0, node: 50.0, node_of_mesh: 70.0, area: 0.0 };
-const SPLATS: Cost = Cost { full: 50.0, node: 70.0, node_of_mesh: 85.0, area: SPLAT_AREA_NS };
+/// Costs of one kind of adapter, in ns.
+#[derive(Debug)]
+pub struct Costs {
+    /// The passes that list chunks of trees.
+    listing: f64,
+    /// A triangle of a mesh.
+    triangle: f64,
+    /// A segment of a line that covers few pixels.
+    segment: f64,
+    points: Cost,
+    discs: Cost,
+    splats: Cost,
+}
+
+const OF_CPUS: Costs = Costs {
+    listing: 1.5e6,
+    triangle: 15.0,
+    segment: 130.0,
+    points: Cost { full: 4.2, node: 20.0, node_of_mesh: 40.0, area: 0.0 },
+    discs: Cost { full: 20.0, node: 50.0, node_of_mesh: 70.0, area: 0.0 },
+    splats: Cost { full: 50.0, node: 70.0, node_of_mesh: 85.0, area: 8.0 },
+};
+const OF_GPUS: Costs = Costs {
+    listing: 1.6e5,
+    triangle: 0.05,
+    segment: 0.5,
+    points: Cost { full: 0.02, node: 0.05, node_of_mesh: 0.3, area: 0.0 },
+    discs: Cost { full: 0.05, node: 0.5, node_of_mesh: 0.5, area: 0.0 },
+    splats: Cost { full: 0.06, node: 0.05, node_of_mesh: 0.3, area: 0.25 },
+};
+
+impl Costs {
+    /// Costs of CPU adapters, or of GPUs.
+    pub fn of(is_cpu: bool) -> &'static Costs {
+        if is_cpu { &OF_CPUS } else { &OF_GPUS }
+    }
+
+    fn of_samples(&self, settings: &Settings) -> &Cost {
+        match (settings.draws_points(), settings.discs()) {
+            (true, None) => &self.points,
+            (true, Some(_)) => &self.discs,
+            (false, _) => &self.splats,
+        }
+    }
+}
+
 /// Distance of samples, in pixels, up to which the area of their splats counts: the image ends.
 const WIDEST_PX: f64 = 4.0;
 
@@ -76,6 +114,7 @@ pub struct DetailGrounds<'a> {
     /// How the frame would be drawn at full detail, and from trees. Neither leaves open how samples are drawn.
     pub full: &'a Settings,
     pub tree: &'a Settings,
+    pub costs: &'a Costs,
 }
 
 /// Returns the largest radius of a node, in pixels, that is drawn as a point. A disc about a node covers all leaves below it, and so it may
@@ -84,14 +123,6 @@ pub struct DetailGrounds<'a> {
 /// copies of flat things are 1.8 times as bright as they are.
 pub fn point_error_px(accepted_px: f32, are_discs: bool) -> f32 {
     if are_discs { (0.5 * accepted_px).max(accepted_px.min(1.0)) } else { accepted_px }
-}
-
-fn cost_of(settings: &Settings) -> Cost {
-    match (settings.draws_points(), settings.discs()) {
-        (true, None) => POINTS,
-        (true, Some(_)) => DISCS,
-        (false, _) => SPLATS,
-    }
 }
 
 /// Elements in view, and what a tree tests in their place.
@@ -143,16 +174,17 @@ pub fn choose(grounds: &DetailGrounds<'_>) -> Detail {
     let samples = seen(grounds.samples, view, width, node_px);
     let triangles = seen(grounds.triangles, view, NODES_BY_SIZE, node_px);
     let segments = seen_segments(grounds.segments, view, node_px);
-    let (full, tree) = (cost_of(grounds.full), cost_of(grounds.tree));
+    let costs = grounds.costs;
+    let (full, tree) = (costs.of_samples(grounds.full), costs.of_samples(grounds.tree));
     let full_ns = full.full * samples.elements
         + full.area * samples.area
-        + TRIANGLE_NS * triangles.elements
-        + SEGMENT_NS * segments.elements;
+        + costs.triangle * triangles.elements
+        + costs.segment * segments.elements;
     let tree_ns = tree.node * samples.nodes
         + tree.node_of_mesh * triangles.nodes
-        + SEGMENT_NS * segments.nodes
+        + costs.segment * segments.nodes
         + tree.area * (samples.area_of_nodes + triangles.area_of_nodes)
-        + LISTING_NS;
+        + costs.listing;
     if tree_ns >= full_ns {
         let because = format!(
             "the {:.0} samples, triangles and segments in view are drawn sooner than nodes are chosen in their place",

@@ -44,7 +44,17 @@ static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
 fn engine(force_32_bit: bool, rasterise: bool) -> Engine {
     let (draw_hidden, rasterise, like_a_gpu) = (rasterise, Some(rasterise), force_32_bit);
     let config = EngineConfig::new(&*FOLDER);
-    let config = EngineConfig { force_32_bit, rasterise, draw_hidden, like_a_gpu, ..config };
+    // All engines count the same splats and triangles as large.
+    let large_px = like_a_gpu.then_some(32);
+    let config = EngineConfig {
+        force_32_bit,
+        rasterise,
+        draw_hidden,
+        like_a_gpu,
+        small_splat_px: large_px,
+        small_triangle_px: large_px,
+        ..config
+    };
     Engine::start(config).unwrap()
 }
 

@@ -38,6 +38,7 @@ fn decide(samples: &[Patch], triangles: &[Patch], tree: &Settings) -> Detail {
         instances,
         full: &full,
         tree,
+        costs: Costs::of(true),
     })
 }
 
@@ -86,6 +87,7 @@ fn large_scenes_are_drawn_from_trees() {
         instances: 1025,
         full: &full,
         tree: &tree,
+        costs: Costs::of(true),
     };
     assert_eq!(choose(&many), Detail::Tree { error: MaxError::default() });
     assert!(is_full(&choose(&DetailGrounds { instances: 1024, ..many })));
@@ -123,10 +125,35 @@ fn straight_segments_are_drawn_from_levels_sooner_than_bent_ones() {
             instances: 1,
             full: &full,
             tree: &tree,
+            costs: Costs::of(true),
         };
         !is_full(&choose(&grounds))
     };
     assert!(is_tree(0.05, 2e6) && is_tree(0.4, 2e6));
     assert!(!is_tree(1.0, 2e6), "as many are left");
     assert!(!is_tree(0.05, 4e3), "listing alone takes longer");
+}
+
+/// On a GPU, passes take longer to start than most elements to draw.
+#[test]
+fn gpus_draw_millions_of_elements_in_full() {
+    let (full, view) = (settings(Reconstruct::Splats, 1.0), view());
+    let is_tree = |count: f64, spacing_px: f64| {
+        let samples = &[patch(count, spacing_px)];
+        let (full, tree) = (&Settings { lod: Lod::Full, ..full }, &full);
+        let grounds = DetailGrounds {
+            samples,
+            triangles: &[],
+            segments: &[],
+            view: &view,
+            elements: count as u64,
+            instances: 1,
+            full,
+            tree,
+            costs: Costs::of(false),
+        };
+        !is_full(&choose(&grounds))
+    };
+    assert!(!is_tree(1e6, 0.1) && !is_tree(2e6, 0.05), "listing alone takes longer");
+    assert!(is_tree(8e6, 0.05) && !is_tree(8e6, 1.0));
 }
