@@ -4,6 +4,7 @@
 //! signal-to-noise ratio, and by holes and leaks within a pixel of the oracle's outline.
 
 use glam::{DVec3, Vec3};
+use pointillist::accuracy::metrics;
 use pointillist::math::View;
 use pointillist::oracle::{self, OracleFrame, OracleScene};
 use pointillist::plan::{Lod, MaxError, Pass, Reconstruct, Reconstruction, Settings};
@@ -116,12 +117,26 @@ fn committed_scenes() {
 }
 
 /// Where the ray through a pixel meets a ball about the origin.
-fn meets(view: &View, pixel: usize, radius: f64) -> bool {
+/// Direction of a pixel's ray, and the place on it that is nearest to the origin.
+fn ray_by_the_origin(view: &View, pixel: usize) -> (DVec3, DVec3) {
     let (x, y) = (pixel % view.width as usize, pixel / view.width as usize);
     let ray = view.ray(glam::DVec2::new(x as f64 + 0.5, y as f64 + 0.5));
     let way = (view.view_from_world.transpose() * ray).normalize_or_zero();
-    let nearest = view.eye - way * view.eye.dot(way);
-    nearest.length() < radius
+    (way, view.eye - way * view.eye.dot(way))
+}
+
+fn meets(view: &View, pixel: usize, radius: f64) -> bool {
+    ray_by_the_origin(view, pixel).1.length() < radius
+}
+
+/// Normals of the unit sphere; zero beside it.
+fn true_normals(view: &View) -> Vec<DVec3> {
+    let normal = |pixel| {
+        let (way, nearest) = ray_by_the_origin(view, pixel);
+        let left = 1.0 - nearest.length_squared();
+        if left > 0.0 { nearest - way * left.sqrt() } else { DVec3::ZERO }
+    };
+    (0..(view.width * view.height) as usize).map(normal).collect()
 }
 
 /// From samples in random places, a closed surface: pixels within the true outline are covered, and few beyond it.
@@ -139,6 +154,10 @@ fn random_samples_of_a_ball_close() {
                 holes += u32::from(within && id == 0);
                 leaks += u32::from(id != 0 && !meets(&view, pixel, 1.08));
             }
+            let shown = metrics::normals_from_rgba8(&frames.normal);
+            let apart = metrics::normal_error_deg(&true_normals(&view), &shown).unwrap().unwrap();
+            println!("{count} samples: normals are {apart:?} degrees off");
+            assert!(apart.median < 5.0, "{count} samples: {apart:?}");
         }
     }
     println!("{holes} holes and {leaks} leaks of {inner} pixels");
