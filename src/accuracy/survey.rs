@@ -407,9 +407,9 @@ impl Survey<'_> {
     }
 }
 
-/// Settings with which a frame waits for everything that it needs.
+/// Settings with which a frame waits for everything that it needs, without what only some settings have.
 fn complete(settings: Settings) -> Settings {
-    Settings { wait: Wait::Complete, ..settings }
+    Settings { wait: Wait::Complete, ..settings.comparable() }
 }
 
 /// The receipt's reasons for drawing in another way than requested.
