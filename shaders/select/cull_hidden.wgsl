@@ -186,6 +186,11 @@ fn ask_together(group: u32, lane: u32) {
             slot = slot_in_turn(asked, index);
         }
     }
+    // Pipelines do not empty the memory of workgroups.
+    if tester == 0u {
+        atomicStore(&found[place], 0u);
+    }
+    workgroupBarrier();
     if slot != NO_TURN {
         atomicOr(&found[place], shown_of(slot, tester));
     }
