@@ -4,6 +4,7 @@
 //! a crash cut off is removed. One process at a time holds the journal's lock.
 
 use std::fs::{File, OpenOptions, TryLockError};
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
@@ -15,11 +16,18 @@ use crate::plan::Given;
 /// Name of the journal in the folder of a report.
 pub const JOURNAL: &str = "measurements.jsonl";
 
+/// How the first line begins.
+const FIRST: &[u8] = b"{\"kind\":\"run\"";
+
 /// Why a journal cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum JournalError {
     #[error("{file}: {error}", file = file.display())]
     Io { file: PathBuf, error: io::Error },
+    #[error("cannot make the folder {folder}: {error}", folder = folder.display())]
+    Folder { folder: PathBuf, error: io::Error },
+    #[error("{folder} has files of other things; give a new or empty folder, whose files the report may replace", folder = folder.display())]
+    Foreign { folder: PathBuf },
     #[error(
         "{file} belongs to a run with {differences}; give another folder, repeat that run's arguments, or delete the folder to start anew",
         file = file.display()
@@ -62,6 +70,15 @@ pub struct Identity {
     pub reference: String,
     pub poses: Vec<PoseRecord>,
     pub rows: Vec<String>,
+}
+
+impl Identity {
+    /// A number that differs between surveys: their references are kept under it.
+    fn key(&self) -> u64 {
+        let mut hasher = DefaultHasher::new();
+        format!("{self:?}").hash(&mut hasher);
+        hasher.finish()
+    }
 }
 
 /// Errors of a frame against the reference.
@@ -122,6 +139,8 @@ pub struct Journal {
     file: File,
     /// Date of the first run.
     pub date: String,
+    /// A number that follows from the identity.
+    pub key: u64,
     pub records: Vec<Record>,
 }
 
@@ -134,7 +153,11 @@ impl Journal {
         let path = folder.join(JOURNAL);
         let failed = |error| JournalError::Io { file: path.clone(), error };
         std::fs::create_dir_all(folder)
-            .map_err(|error| JournalError::Io { file: folder.to_owned(), error })?;
+            .map_err(|error| JournalError::Folder { folder: folder.to_owned(), error })?;
+        let is_empty = std::fs::read_dir(folder).map_err(failed)?.next().is_none();
+        if !is_empty && !path.exists() {
+            return Err(JournalError::Foreign { folder: folder.to_owned() });
+        }
         let mut file = OpenOptions::new()
             .read(true)
             .write(true)
@@ -150,14 +173,15 @@ impl Journal {
         let mut text = Vec::new();
         file.read_to_end(&mut text).map_err(failed)?;
         let (records, kept) = parse(&path, &text)?;
-        file.set_len(kept as u64).map_err(failed)?;
-        file.seek(SeekFrom::End(0)).map_err(failed)?;
-        let mut journal = Journal { path, file, date: date.to_owned(), records: Vec::new() };
+        let is_own = text.is_empty() || kept > 0 || text.starts_with(FIRST);
+        let (date, key) = (date.to_owned(), identity.key());
+        let mut journal = Journal { path, file, date: date.clone(), key, records: Vec::new() };
         let mut records = records.into_iter();
         match records.next() {
-            None => {
+            None if is_own => {
+                journal.keep(0)?;
                 let identity = Box::new(identity.clone());
-                journal.write(&Record::Run { identity, date: date.to_owned() })?;
+                journal.write(&Record::Run { identity, date })?;
             }
             Some(Record::Run { identity: found, date }) => {
                 let differences = differences(&found, identity);
@@ -165,14 +189,22 @@ impl Journal {
                     let file = journal.path;
                     return Err(JournalError::Other { file, differences: differences.join(", ") });
                 }
+                journal.keep(kept)?;
                 (journal.date, journal.records) = (date, records.collect());
             }
-            Some(_) => {
+            _ => {
                 let reason = "the first line does not say what was measured".to_owned();
                 return Err(JournalError::Damaged { file: journal.path, line: 1, reason });
             }
         }
         Ok(journal)
+    }
+
+    /// Cuts the file off behind so many bytes: a crash may have left a part of a line.
+    fn keep(&mut self, bytes: usize) -> Result<(), JournalError> {
+        let failed = |error| JournalError::Io { file: self.path.clone(), error };
+        self.file.set_len(bytes as u64).map_err(failed)?;
+        self.file.seek(SeekFrom::End(0)).map(drop).map_err(failed)
     }
 
     fn write(&mut self, record: &Record) -> Result<(), JournalError> {
@@ -334,6 +366,31 @@ mod tests {
         let error = open(|wanted| wanted.tag = "u".into());
         assert!(error.contains("content of the scene"), "{error}");
         assert!(Journal::open(folder.path(), &identity(), "tuesday").is_ok());
+    }
+
+    #[test]
+    fn files_of_others_are_left_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("index.html");
+        std::fs::write(&file, "mine").unwrap();
+        let open = || Journal::open(folder.path(), &identity(), "monday").unwrap_err().to_string();
+        assert!(open().contains("files of other things"));
+        let journal = folder.path().join(JOURNAL);
+        for text in ["mine", "mine\n", "{\"kind\":\"time\"}"] {
+            std::fs::write(&journal, text).unwrap();
+            assert!(open().contains("line 1"), "{text}");
+            assert_eq!(std::fs::read_to_string(&journal).unwrap(), text);
+        }
+        // A run of another size keeps what a crash left, too.
+        std::fs::remove_file(&journal).unwrap();
+        std::fs::remove_file(&file).unwrap();
+        drop(Journal::open(folder.path(), &identity(), "monday").unwrap());
+        let mut text = std::fs::read(&journal).unwrap();
+        text.extend(b"{\"kind\":");
+        std::fs::write(&journal, &text).unwrap();
+        let other = Identity { width: 65, ..identity() };
+        assert!(Journal::open(folder.path(), &other, "monday").is_err());
+        assert_eq!(std::fs::read(&journal).unwrap(), text);
     }
 
     #[test]

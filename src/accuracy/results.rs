@@ -83,6 +83,9 @@ pub const MEASURES: [(&str, ErrorOf); 3] = [
     ("ssim", |entry| 1.0 - entry.metrics.ssim),
 ];
 
+/// Points of a front are at least so much more exact than the one before.
+const SEEN_DB: f64 = 0.1;
+
 fn psnr_db(mse: f64) -> Option<f64> {
     (mse > 0.0).then(|| 10.0 * (255.0 * 255.0 / mse).log10())
 }
@@ -112,8 +115,9 @@ impl Scope {
         for (measure, error) in MEASURES {
             let points: Vec<(f64, f64)> =
                 own.iter().map(|entry| (time(entry), error(entry))).collect();
-            let front: Vec<&Entry> = pareto(&points).into_iter().map(|i| own[i]).collect();
+            let mut front: Vec<&Entry> = pareto(&points).into_iter().map(|i| own[i]).collect();
             if measure == "psnr" {
+                front = worthwhile(front);
                 let points: Vec<(f64, f64)> =
                     front.iter().map(|entry| (time(entry), entry.decibels())).collect();
                 steps = points.windows(2).filter_map(|pair| price(pair[0], pair[1])).collect();
@@ -264,10 +268,12 @@ fn pooled(of: &[&Metrics]) -> Metrics {
         let mean = |value: fn(&Spread) -> f64| {
             all.iter().map(value).sum::<f64>() / all.len().max(1) as f64
         };
+        let pixels: u64 = all.iter().map(|one| one.pixels).sum();
+        let sum: f64 = all.iter().map(|one| one.mean * one.pixels as f64).sum();
         (!all.is_empty()).then(|| Spread {
-            pixels: all.iter().map(|one| one.pixels).sum(),
+            pixels,
             max: all.iter().map(|one| one.max).fold(0.0, f64::max),
-            mean: mean(|one| one.mean),
+            mean: sum / pixels.max(1) as f64,
             median: mean(|one| one.median),
             p99: mean(|one| one.p99),
         })
@@ -281,6 +287,17 @@ fn pooled(of: &[&Metrics]) -> Metrics {
         depth: spread(|one| one.depth),
         normal_deg: spread(|one| one.normal_deg),
     }
+}
+
+/// The points of a front, without those that are hardly more exact than the one before them.
+fn worthwhile(front: Vec<&Entry>) -> Vec<&Entry> {
+    let mut kept: Vec<&Entry> = Vec::new();
+    for entry in front {
+        if kept.last().is_none_or(|last| entry.decibels() >= last.decibels() + SEEN_DB) {
+            kept.push(entry);
+        }
+    }
+    kept
 }
 
 fn plotted(entries: &[Entry]) -> impl Iterator<Item = &Entry> {
@@ -300,19 +317,25 @@ fn row_at<'a>(record: &'a Record, name: &str) -> Option<&'a str> {
 /// What one more decibel costs.
 fn summary(scope: &Scope) -> String {
     let front = scope.fronts.get("psnr").map(Vec::as_slice).unwrap_or_default();
-    let ends = front.first().zip(front.last());
+    let is_exact = |row: &&String| scope.entry(row).is_some_and(|entry| entry.psnr_db.is_none());
+    let finite = front.iter().rev().find(|row| !is_exact(row));
+    let equal = front.last().filter(is_exact).and_then(|row| scope.entry(row));
+    let ends = front.first().zip(finite.or(front.last()));
     let Some((first, last)) = ends.and_then(|(a, b)| scope.entry(a).zip(scope.entry(b))) else {
         return "No setting has been timed yet.".to_owned();
     };
     let ms = |entry: &Entry| entry.gpu_ms.map_or(f64::NAN, |time| time.median);
-    let at = |entry: &Entry| {
-        format!("{} ({}, {:.1} dB)", entry.row, milliseconds(ms(entry)), entry.decibels())
+    let at = |entry: &Entry| match entry.psnr_db {
+        Some(db) => format!("{} ({}, {db:.1} dB)", entry.row, milliseconds(ms(entry))),
+        None => format!("{} ({}, equal to the reference)", entry.row, milliseconds(ms(entry))),
     };
+    let equal = equal.filter(|_| front.len() > 1);
+    let equal = equal.map_or_else(String::new, |entry| {
+        format!(" {} equals the reference and takes {}.", entry.row, milliseconds(ms(entry)))
+    });
     let Some(price) = scope.price else {
-        return format!(
-            "One setting is both the fastest and the most exact: {}. No slower setting is more exact.",
-            at(first)
-        );
+        let alone = if equal.is_empty() { " No slower one is more exact." } else { "" };
+        return format!("Of the settings compared, the fastest is {}.{alone}{equal}", at(first));
     };
     let each = scope.steps.iter().filter_map(|step| step.times_per_db);
     let (least, most) = each
@@ -331,7 +354,7 @@ fn summary(scope: &Scope) -> String {
         format!(": one more decibel costs {:.0} % more time on average", 100.0 * (times - 1.0))
     });
     format!(
-        "From {:.1} dB to {:.1} dB costs {}× the time{average}. The fastest setting is {}, the most exact {}.{spread}",
+        "From {:.1} dB to {:.1} dB costs {}× the time{average}. The fastest setting is {}, the most exact {}.{spread}{equal}",
         price.from_db,
         price.to_db,
         three_digits(price.times),
@@ -501,7 +524,15 @@ pub(super) mod tests {
         );
         assert!(results.summary.contains("fast way (1.60 ms, 30.0 dB)"), "{}", results.summary);
         let one = Scope::new("p", None, vec![results.scopes[1].entries[0].clone()]);
-        assert!(summary(&one).starts_with("One setting is both"), "{}", summary(&one));
+        let text = summary(&one);
+        assert!(text.contains("the fastest is fast way") && text.contains("No slower"), "{text}");
+        // A frame that equals the reference has no decibels.
+        let mut entries = results.scopes[1].entries.clone();
+        let exact = entries.iter_mut().find(|entry| entry.row == "good way").unwrap();
+        (exact.psnr_db, exact.metrics.mse) = (None, 0.0);
+        let text = summary(&Scope::new("p", None, entries));
+        assert!(text.contains("good way equals the reference and takes"), "{text}");
+        assert!(!text.contains("inf"), "{text}");
         assert!(summary(&Scope::new("p", None, Vec::new())).starts_with("No setting"));
     }
 

@@ -117,6 +117,24 @@ pub fn frame_file(folder: &str, slug_of_row: &str, suffix: &str) -> String {
 pub const REFERENCE: &str = "reference";
 
 impl Survey<'_> {
+    /// Leaves out the poses from which nothing is seen, and returns their names.
+    ///
+    /// # Errors
+    /// The engine fails.
+    pub fn leave_out_blank(&mut self) -> Result<Vec<String>, SurveyError> {
+        let mut blank = Vec::new();
+        for pose in &self.poses {
+            let settings = complete(Settings::exact()).finer(1, true);
+            let frame =
+                self.draw(self.request(Pose::Camera(pose.camera), settings, Output::Color))?;
+            if !quads(&frame.bytes).into_iter().any(is_covered) {
+                blank.push(pose.name.clone());
+            }
+        }
+        self.poses.retain(|pose| !blank.contains(&pose.name));
+        Ok(blank)
+    }
+
     /// What the survey measures, for the journal. `scene` is the scene's name in the report.
     ///
     /// # Errors
@@ -234,10 +252,10 @@ impl Survey<'_> {
         Ok(Truth::of_wide(width, height, PARTS, &wide))
     }
 
-    /// The reference of a pose, from the folder if it is there.
-    fn kept_truth(&self, pose: &NamedPose) -> Result<Truth, SurveyError> {
+    /// The reference of a pose, from the folder if it is there. `key` is that of the survey.
+    fn kept_truth(&self, pose: &NamedPose, key: u64) -> Result<Truth, SurveyError> {
         let png = self.folder.join(frame_file(&pose.folder, REFERENCE, ""));
-        let file = png.with_extension("gz");
+        let file = png.with_extension(format!("{key:016x}.gz"));
         let [width, height] = self.size;
         if let Some(truth) = Truth::read(&file, width, height).filter(|_| png.exists()) {
             return Ok(truth);
@@ -272,19 +290,25 @@ impl Survey<'_> {
         mut tell: impl FnMut(Event<'_>),
     ) -> Result<bool, SurveyError> {
         let mut known = Known::of(&journal.records);
+        let key = journal.key;
         let images = (self.poses.len() * self.rows.len()) as u64;
         let all = images * u64::from(1 + self.repeats);
         let mut done = 0;
         let mut warm = HashSet::new();
         for (pose_number, pose) in self.poses.iter().enumerate() {
             let mut truth = None;
+            if !self.folder.join(frame_file(&pose.folder, REFERENCE, "")).exists() {
+                truth = Some(self.kept_truth(pose, key)?);
+            }
             let (drawn, owners) = self.owners(pose);
             for (row_number, row) in self.rows.iter().enumerate() {
                 if stop.load(Ordering::Relaxed) {
                     return Ok(false);
                 }
                 done += 1;
-                if known.has(&pose.name, &row.label) {
+                let frame = self.folder.join(frame_file(&pose.folder, &row.slug(), ""));
+                let is_lost = owners[row_number] == Some(row_number) && !frame.exists();
+                if known.has(&pose.name, &row.label) && !is_lost {
                     continue;
                 }
                 tell(Event { done, total: all, what: &format!("{}, {}", pose.name, row.label) });
@@ -299,7 +323,7 @@ impl Survey<'_> {
                     (Ok(_), _) => {
                         let truth = match &truth {
                             Some(truth) => truth,
-                            None => truth.insert(self.kept_truth(pose)?),
+                            None => truth.insert(self.kept_truth(pose, key)?),
                         };
                         warm.insert((pose_number, row_number));
                         self.compare(pose, row, truth)?

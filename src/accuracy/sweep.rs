@@ -140,7 +140,7 @@ pub struct Price {
 }
 
 /// Smallest gain that tells the price of a decibel: below it, the noise of times decides.
-pub const LEAST_GAIN_DB: f64 = 0.1;
+pub const LEAST_GAIN_DB: f64 = 1.0;
 
 /// Price from one point `(time, decibels)` to a more exact one; `None` where the second is not above the first or a value is not finite.
 pub fn price(from: (f64, f64), to: (f64, f64)) -> Option<Price> {

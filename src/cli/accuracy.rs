@@ -45,25 +45,25 @@ pub struct AccuracyArgs {
     #[arg(short, long, alias = "output", value_name = "FOLDER")]
     out: Option<PathBuf>,
     /// Name of a camera in the scene; may be repeated [default: the first five, or five views around the scene if it has none]
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", conflicts_with = "stability")]
     camera: Vec<String>,
     /// Width and height of the frames in pixels [default: 640x360; with --quick 240x135]
-    #[arg(long, value_name = "WxH", value_parser = size)]
+    #[arg(long, value_name = "WxH", value_parser = size, conflicts_with = "stability")]
     size: Option<(u32, u32)>,
     /// Number of timed frames of each setting and pose [default: 5; with --quick 3]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000), conflicts_with = "stability")]
     repeats: Option<u32>,
     /// Few settings, one pose and a small frame
-    #[arg(long)]
+    #[arg(long, conflicts_with = "stability")]
     quick: bool,
     /// Measure errors against the f64 reference renderer on the CPU; for small scenes, since a frame may take minutes
-    #[arg(long)]
+    #[arg(long, conflicts_with = "stability")]
     oracle: bool,
     /// Seed of the order in which frames are timed, or of the random splats of --stability
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Number of splats in each class of --stability
-    #[arg(long, value_name = "N", default_value_t = 3000, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 3000, value_parser = clap::value_parser!(u32).range(1..), requires = "stability")]
     count: u32,
     /// Print JSON on standard output
     #[arg(long)]
@@ -127,24 +127,40 @@ fn survey(args: &AccuracyArgs, scene: &Path) -> Result<()> {
         folder,
     };
     survey.poses = poses(args, &survey, &engine, &info)?;
-    for request in survey.requests() {
-        bake(&engine, &request)?;
+    let all = survey.poses.len();
+    let blank = survey.leave_out_blank()?;
+    if blank.len() == all {
+        bail!(
+            "nothing of {} is seen in {width}x{height} pixels from {}",
+            scene.display(),
+            blank.join(", ")
+        );
+    }
+    for name in blank {
+        say!("warning: nothing of the scene is seen from {name}; it is left out");
     }
     let name = scene.file_name().unwrap_or(scene.as_os_str()).to_string_lossy();
     let identity = survey.identity(&name)?;
     let mut journal = Journal::open(folder, &identity, &date(SystemTime::now()))?;
+    for request in survey.requests() {
+        bake(&engine, &request)?;
+    }
     let stop = stop_when_told()?;
     let mut telling = Telling::new();
     let is_complete = survey.run(&mut journal, &stop, |event| telling.hear(&event));
     telling.bar.finish_and_clear();
-    if !is_complete? {
-        bail!("stopped by a signal; run the same command again to continue");
-    }
-    if telling.steps == 0 {
+    let is_complete = is_complete?;
+    if is_complete && telling.steps == 0 {
         say!("nothing to draw: all measurements are there already");
     }
     let results = Results::new(identity, journal.date.clone(), &survey.rows, &journal.records);
     let page = report::write(folder, &results)?;
+    if !is_complete {
+        bail!(
+            "stopped by a signal; {} shows what is there, and the same command continues",
+            page.display()
+        );
+    }
     if args.json {
         out::print(&(serde_json::to_string_pretty(&results)? + "\n"))?;
     } else {

@@ -52,7 +52,7 @@ pub fn with_detail(
         full: &drawn_as(Lod::Full, counts.samples > 0),
         // Trees of meshes have samples as well.
         tree: &drawn_as(Lod::Spt, true),
-        costs: Costs::of(state.is_on_cpu()),
+        costs: Costs::of(state.is_on_discrete_gpu()),
     });
     match choice {
         Detail::Full { because } => {

@@ -91,7 +91,7 @@ fn open(state: &EngineState, options: &GpuOptions) -> Result<Renderer, GpuError>
         atomics_64: renderer.gpu.atomics_64,
         atomic_sums_64: renderer.gpu.atomic_sums_64,
         rasterises: renderer.gpu.rasterises,
-        is_cpu: renderer.gpu.is_cpu,
+        is_discrete: renderer.gpu.is_discrete,
         max_binding_bytes: renderer.gpu.max_binding_bytes(),
         max_side: renderer.gpu.limits.max_texture_dimension_2d.min(MOST_ROWS),
         budget: renderer.residency.budget(),

@@ -33,7 +33,7 @@ pub struct Adapter {
     pub atomics_64: bool,
     pub atomic_sums_64: bool,
     pub rasterises: bool,
-    pub is_cpu: bool,
+    pub is_discrete: bool,
     pub max_binding_bytes: u64,
     pub max_side: u32,
     pub budget: u64,
@@ -547,9 +547,9 @@ impl EngineState {
         self.adapter.read().clone()
     }
 
-    /// Whether the adapter in use is a CPU.
-    pub fn is_on_cpu(&self) -> bool {
-        self.adapter.read().is_cpu
+    /// Whether the adapter in use is a GPU with memory of its own.
+    pub fn is_on_discrete_gpu(&self) -> bool {
+        self.adapter.read().is_discrete
     }
 
     /// Publishes which scenes are on the GPU, and returns those of them that have been removed from the library.

@@ -56,6 +56,8 @@ pub struct Gpu {
     pub limits: wgpu::Limits,
     /// Whether this is a software adapter, whose GPU memory is host memory.
     pub is_cpu: bool,
+    /// Whether this is a GPU with memory of its own.
+    pub is_discrete: bool,
     /// Whether large triangles go to the rasteriser, which is slower on a CPU than walking them in compute.
     pub rasterises: bool,
     /// Whether shaders can use subgroup operations.
@@ -172,6 +174,7 @@ impl Gpu {
                 .contains(wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS),
             limits,
             is_cpu,
+            is_discrete: info.device_type == wgpu::DeviceType::DiscreteGpu,
             rasterises,
             subgroups: features.contains(wgpu::Features::SUBGROUP),
             pipeline_store,

@@ -2,7 +2,7 @@
 //!
 //! Full detail keeps within every accepted error. It is drawn where choosing the nodes of a tree would cost more than they save: a tree
 //! tests about `n · (κ s / e)²` nodes in place of `n` samples or triangles that lie `s` pixels apart, if nodes may be `e` pixels wide,
-//! and a node that is tested costs more than a sample that is drawn unasked. The [`Costs`] of CPUs were measured on two cores, those of GPUs on an
+//! and a node that is tested costs more than a sample that is drawn unasked. The [`Costs`] of CPUs were measured on two cores, those of discrete GPUs on an
 //! NVIDIA H200, where a frame of full detail takes hardly longer than its passes take to start: 1 to 8 million samples or 0.4 to 2.9 million triangles,
 //! 0.4 to 1.4 ms (statues and reliefs at 256² and 1024²).
 //!
@@ -75,9 +75,10 @@ const OF_GPUS: Costs = Costs {
 };
 
 impl Costs {
-    /// Costs of CPU adapters, or of GPUs.
-    pub fn of(is_cpu: bool) -> &'static Costs {
-        if is_cpu { &OF_CPUS } else { &OF_GPUS }
+    /// Costs of GPUs with memory of their own, or of other adapters. Integrated GPUs have not been measured; they count as CPUs, whose
+    /// memory they share.
+    pub fn of(is_discrete_gpu: bool) -> &'static Costs {
+        if is_discrete_gpu { &OF_GPUS } else { &OF_CPUS }
     }
 
     fn of_samples(&self, settings: &Settings) -> &Cost {

@@ -281,7 +281,7 @@ settings! {
     }
     /// Antialiasing: pixels are means of their parts, in linear light.
     antialias: Antialias => Antialias {
-        label: "Antialiasing", kind: SettingKind::own::<Antialias>(), needs: [], useful_with: [COLORS], trades: Trade::variant()
+        label: "Antialiasing", kind: SettingKind::own::<Antialias>(), needs: [], useful_with: [COLORS], trades: Trade::large_variant()
     }
     /// Colour of pixels that show nothing; the scene's value by default. JPEG and video cannot store transparency and show black.
     background: Background => Option<Background> {

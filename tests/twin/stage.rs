@@ -42,7 +42,8 @@ static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
 });
 
 fn engine(force_32_bit: bool, rasterise: bool) -> Engine {
-    let (draw_hidden, rasterise, like_a_gpu) = (rasterise, Some(rasterise), force_32_bit);
+    let (draw_hidden, like_a_gpu) = (rasterise, force_32_bit || rasterise);
+    let rasterise = Some(rasterise);
     let config = EngineConfig::new(&*FOLDER);
     // All engines count the same splats and triangles as large.
     let large_px = like_a_gpu.then_some(32);
@@ -77,7 +78,8 @@ fn remove_old(runs: &Path) {
 static WIDE: LazyLock<Engine> = LazyLock::new(|| engine(false, false));
 /// The engine without 64-bit atomics, which launches its passes as on a GPU.
 static NARROW: LazyLock<Engine> = LazyLock::new(|| engine(true, false));
-/// The engine with the adapter's rasteriser for large triangles instead of the walk in compute, which also draws hidden chunks.
+/// The engine with the adapter's rasteriser for large triangles instead of the walk in compute, which also draws hidden chunks and launches its
+/// passes as on a GPU.
 static RASTERISING: LazyLock<Engine> = LazyLock::new(|| engine(false, true));
 
 /// The folder for images of failures.

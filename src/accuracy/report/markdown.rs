@@ -54,7 +54,12 @@ fn ms(entry: &Entry) -> f64 {
 
 /// Text of a cell of a table.
 fn cell(text: &str) -> String {
-    text.split_whitespace().collect::<Vec<_>>().join(" ").replace('|', "\\|").replace('<', "&lt;")
+    text.split_whitespace()
+        .collect::<Vec<_>>()
+        .join(" ")
+        .replace('|', "\\|")
+        .replace('<', "&lt;")
+        .replace('[', "\\[")
 }
 
 fn table(out: &mut String, scope: &Scope, entries: &[&Entry]) {

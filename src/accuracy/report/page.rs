@@ -133,17 +133,35 @@ pub fn page(results: &Results, images: &Images) -> Result<String, ReportError> {
         "{}x{}, {poses}, each frame timed {} times in random order (seed {}), {} UTC",
         identity.width, identity.height, identity.repeats, identity.seed, results.date
     );
-    Ok(include_str!("page.html")
-        .replace("{{style}}", include_str!("page.css"))
-        .replace("{{script}}", include_str!("page.js"))
-        .replace("{{scene}}", &escaped(&identity.scene))
-        .replace("{{summary}}", &escaped(&results.summary))
-        .replace("{{adapter}}", &escaped(&identity.adapter))
-        .replace("{{reference}}", &escaped(&identity.reference))
-        .replace("{{measured}}", &escaped(&measured))
-        .replace("{{version}}", &escaped(&identity.version))
-        .replace("{{form}}", &escaped(&images.form))
-        .replace("{{data}}", &data))
+    Ok(filled(
+        include_str!("page.html"),
+        &[
+            ("style", include_str!("page.css")),
+            ("script", include_str!("page.js")),
+            ("scene", &escaped(&identity.scene)),
+            ("summary", &escaped(&results.summary)),
+            ("adapter", &escaped(&identity.adapter)),
+            ("reference", &escaped(&identity.reference)),
+            ("measured", &escaped(&measured)),
+            ("version", &escaped(&identity.version)),
+            ("form", &escaped(&images.form)),
+            ("data", &data),
+        ],
+    ))
+}
+
+/// The template with a text in each place `{{name}}`. Texts may hold such places themselves, which stay as they are.
+fn filled(template: &str, texts: &[(&str, &str)]) -> String {
+    let mut out = String::with_capacity(template.len());
+    let mut rest = template;
+    while let Some((before, (name, after))) =
+        rest.split_once("{{").and_then(|(before, rest)| Some((before, rest.split_once("}}")?)))
+    {
+        out += before;
+        out += texts.iter().find(|(known, _)| *known == name).map_or("", |(_, text)| text);
+        rest = after;
+    }
+    out + rest
 }
 
 #[cfg(test)]

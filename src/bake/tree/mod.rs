@@ -254,7 +254,12 @@ impl Root {
             normal: cloud.normals.map_or(Vec3::ZERO, |normals| normals[0]),
             color: cloud.colors.map_or([255; 4], |colors| colors[0]),
             radius,
-            measures: Measures { error: value(error), size: value(size), area, cone: 0.0 },
+            measures: Measures {
+                error: value(error),
+                size: value(size),
+                area,
+                cone: std::f32::consts::PI,
+            },
         })
     }
 }

@@ -38,7 +38,7 @@ fn decide(samples: &[Patch], triangles: &[Patch], tree: &Settings) -> Detail {
         instances,
         full: &full,
         tree,
-        costs: Costs::of(true),
+        costs: Costs::of(false),
     })
 }
 
@@ -87,7 +87,7 @@ fn large_scenes_are_drawn_from_trees() {
         instances: 1025,
         full: &full,
         tree: &tree,
-        costs: Costs::of(true),
+        costs: Costs::of(false),
     };
     assert_eq!(choose(&many), Detail::Tree { error: MaxError::default() });
     assert!(is_full(&choose(&DetailGrounds { instances: 1024, ..many })));
@@ -125,7 +125,7 @@ fn straight_segments_are_drawn_from_levels_sooner_than_bent_ones() {
             instances: 1,
             full: &full,
             tree: &tree,
-            costs: Costs::of(true),
+            costs: Costs::of(false),
         };
         !is_full(&choose(&grounds))
     };
@@ -150,7 +150,7 @@ fn gpus_draw_millions_of_elements_in_full() {
             instances: 1,
             full,
             tree,
-            costs: Costs::of(false),
+            costs: Costs::of(true),
         };
         !is_full(&choose(&grounds))
     };

@@ -1,18 +1,12 @@
 //! Settings of reference frames, which have several pixels for each pixel of another frame.
 
-use super::{Antialias, Background, Edl, Reconstruct, Settings};
+use super::{Antialias, Background, Reconstruct, Settings};
 
 impl Settings {
     /// Full detail with samples as splats, and no pixel averaged.
     #[must_use]
     pub fn exact() -> Settings {
         Settings::drawn_as(Reconstruct::Splats)
-    }
-
-    /// The settings without eye-dome lighting, which some ways to draw samples leave out.
-    #[must_use]
-    pub fn comparable(&self) -> Settings {
-        Settings { edl: Edl::Off, ..*self }
     }
 
     /// The settings for a frame with `parts` pixels along each side of one of this frame's: lengths in pixels are multiplied. With

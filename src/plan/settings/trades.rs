@@ -10,6 +10,8 @@ use super::{Given, Setting, SettingKind, Settings, declared};
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trade {
     is_main: bool,
+    /// A short comparison has it, too.
+    is_large: bool,
     /// Values of a number that are compared.
     numbers: &'static [f64],
 }
@@ -17,17 +19,22 @@ pub struct Trade {
 impl Trade {
     /// Each value is combined with each value of the other main settings.
     pub(super) const fn main() -> Trade {
-        Trade { is_main: true, numbers: &[] }
+        Trade { is_main: true, is_large: true, numbers: &[] }
     }
 
     /// [`Trade::main`] for a number, with the values to compare.
     pub(super) const fn main_at(numbers: &'static [f64]) -> Trade {
-        Trade { is_main: true, numbers }
+        Trade { is_main: true, is_large: true, numbers }
     }
 
     /// One value at a time differs from the default, beside the main settings with default numbers.
     pub(super) const fn variant() -> Trade {
-        Trade { is_main: false, numbers: &[] }
+        Trade { is_main: false, is_large: false, numbers: &[] }
+    }
+
+    /// [`Trade::variant`] that matters enough for a short comparison.
+    pub(super) const fn large_variant() -> Trade {
+        Trade { is_main: false, is_large: true, numbers: &[] }
     }
 }
 
@@ -35,7 +42,7 @@ impl Trade {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Extent {
     All,
-    /// The main settings alone, with default numbers.
+    /// The main settings with default numbers, and the variants that matter most.
     Few,
 }
 
@@ -66,15 +73,15 @@ pub fn trade_offs(extent: Extent) -> Vec<TradeOff> {
     }
     let mut found: Vec<TradeOff> =
         combinations.iter().map(|given| trade_off(*given, &main)).collect();
-    if extent == Extent::Few {
-        return found;
-    }
     let is_base = |given: &&Given| {
         let is_open = Settings::from(**given).leaves_drawing_open();
         !is_open && main.iter().all(|setting| has_default_number(given, setting))
     };
     for given in combinations.iter().filter(is_base) {
-        for setting in &variants {
+        let wanted = |setting: &&&Setting| {
+            extent == Extent::All || setting.trades.is_some_and(|trade| trade.is_large)
+        };
+        for setting in variants.iter().filter(wanted) {
             let mut values = values(setting, extent);
             values.retain(|value| !setting.kind.is_default(value));
             let with = allowed(*given, setting, &values);
@@ -180,7 +187,11 @@ mod tests {
         use clap::ValueEnum;
         let few = trade_offs(Extent::Few);
         let ways = Reconstruct::value_variants().len() * Lod::value_variants().len();
-        assert_eq!(few.len(), ways);
+        let (large, plain): (Vec<&TradeOff>, Vec<&TradeOff>) =
+            few.iter().partition(|found| found.label.contains('='));
+        assert_eq!(plain.len(), ways);
+        assert!(large.iter().any(|found| found.label == "fuzzy full antialias=16x"));
+        assert!(large.iter().all(|found| found.label.contains("antialias=")));
         let all = trade_offs(Extent::All);
         assert!(few.iter().all(|found| all.contains(found)));
     }

@@ -102,6 +102,12 @@ impl Settings {
         Settings { edl, ..*self }
     }
 
+    /// The settings without eye-dome lighting, which some ways to draw samples leave out.
+    #[must_use]
+    pub fn comparable(&self) -> Settings {
+        Settings { edl: Edl::Off, ..*self }
+    }
+
     /// The settings with the least width of lines decided: lines that would be lost as scattered pixels are a pixel wide.
     #[must_use]
     pub fn with_line_width_decided(&self, scene: &SceneFacts) -> Settings {
