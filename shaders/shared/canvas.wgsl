@@ -10,8 +10,9 @@ override SURFACES: bool = true;
 // Two numbers of that surface. Its end is one over a depth, whose lowest bits say which side is seen. The other is how much shines through.
 @group(0) @binding(10) var<storage, read_write> paint_ends: array<vec2<f32>>;
 
-// How much more a surface hides; see docs/painted.md.
-const CLOSING: f32 = 0.2;
+// From where on a surface hides more, and how much more; see docs/painted.md.
+const CLOSED_FROM: f32 = 2.0;
+const CLOSING: f32 = 1.8;
 // Behind this alpha, even white changes no byte of a pixel.
 const OPAQUE: f32 = 0.9998;
 
@@ -21,10 +22,11 @@ fn under(over: vec4<f32>, color: vec3<f32>, alpha: f32) -> vec4<f32> {
 }
 
 // Returns how much shines through a surface, given what would shine through its splats one after the other: less where they lie over each other,
-// because there the surface goes on. A single splat at the surface's border hides nearly as much as by itself.
+// because there the surface goes on. What is thin, or at the surface's border, hides as much as its splats do.
 fn through_surface(through: f32) -> f32 {
     let layers = -log(max(through, 1e-30));
-    return exp(-layers * fma(CLOSING, layers, 1.0));
+    let more = max(layers - CLOSED_FROM, 0.0);
+    return exp(-fma(CLOSING * more, more, layers));
 }
 
 // Returns the canvas of a pixel with the surface that was being painted.

@@ -18,8 +18,9 @@ use super::prepare::Prepared;
 use super::splats::{Settings, Touch};
 use super::visibility::{Hit, band_rows, pixel_ray};
 
-/// How much more a surface hides than its splats one after the other, for each e-fold that they hide.
-const CLOSING: f64 = 0.2;
+/// From how many e-folds on a surface hides more than its splats one after the other, and how much more.
+const CLOSED_FROM: f64 = 2.0;
+const CLOSING: f64 = 1.8;
 
 /// A pixel on the way from front to back.
 #[derive(Clone, Copy, Default)]
@@ -75,7 +76,8 @@ impl Canvas {
             let color = surface.color.map(|channel| channel / surface.weight);
             // Where splats of a surface lie over each other, it hides more than they do one after the other: it goes on there.
             let layers = -surface.through.ln();
-            self.under(color, 1.0 - (-layers * (1.0 + CLOSING * layers)).exp());
+            let more = (layers - CLOSED_FROM).max(0.0);
+            self.under(color, 1.0 - (-layers - CLOSING * more * more).exp());
         }
     }
 }

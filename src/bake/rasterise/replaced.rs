@@ -17,12 +17,16 @@ use super::facet::{self, Facet, Grid, Sample};
 use super::outer_parts;
 use crate::assets::Mesh;
 
+/// Angle up to which triangles face as their sample does, 0.2 radians: where the sample is seen from behind, they are narrower than a fifth of
+/// their length.
+const SAME_WAY: f32 = 0.2;
+
 /// What a sample replaces: its own triangle, and others of which parts lie under its disk.
 #[derive(Clone, Copy, Debug)]
 pub struct Replaced {
     /// The shortest of their sides.
     pub side: f64,
-    /// The largest angle between their normals and the sample's, in radians.
+    /// The largest angle between their normals and the sample's, in radians; 0 if all are below [`SAME_WAY`].
     pub cone: f32,
 }
 
@@ -70,9 +74,12 @@ pub(super) fn by_samples(
         }
     };
     outer_parts(mesh, grid, 0..mesh.triangles.len(), visit);
-    let read = |(side, cone): (AtomicU64, AtomicU32)| Replaced {
-        side: f64::from_bits(side.into_inner()),
-        cone: f32::from_bits(cone.into_inner()),
+    let read = |(side, cone): (AtomicU64, AtomicU32)| {
+        let cone = f32::from_bits(cone.into_inner());
+        Replaced {
+            side: f64::from_bits(side.into_inner()),
+            cone: if cone > SAME_WAY { cone } else { 0.0 },
+        }
     };
     found.into_iter().map(read).collect()
 }
