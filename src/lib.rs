@@ -29,6 +29,7 @@ pub mod http;
 pub mod jobs;
 mod json;
 pub mod load;
+mod markup;
 pub mod math;
 pub mod memory;
 pub mod oracle;

@@ -44,18 +44,23 @@ fn check<A, B>(reference: &[A], image: &[B], size: Option<(u32, u32)>) -> Result
     Err(SizeMismatch { reference: reference.len(), image: image.len(), expected })
 }
 
+/// Mean squared error of the bytes of red, green and blue.
+///
+/// # Errors
+/// The images have different sizes.
+pub fn mse(reference: &[[u8; 4]], image: &[[u8; 4]]) -> Result<f64, SizeMismatch> {
+    check(reference, image, None)?;
+    let squares: u64 = rgb_differences(reference, image).map(|d| u64::from(d).pow(2)).sum();
+    Ok(squares as f64 / (3 * reference.len()) as f64)
+}
+
 /// Peak signal-to-noise ratio in dB over the bytes of red, green and blue; infinite for equal images.
 ///
 /// # Errors
 /// The images have different sizes.
 pub fn psnr(reference: &[[u8; 4]], image: &[[u8; 4]]) -> Result<f64, SizeMismatch> {
-    check(reference, image, None)?;
-    let squares: u64 = rgb_differences(reference, image).map(|d| u64::from(d).pow(2)).sum();
-    if squares == 0 {
-        return Ok(f64::INFINITY);
-    }
-    let mean = squares as f64 / (3 * reference.len()) as f64;
-    Ok(10.0 * (255.0 * 255.0 / mean).log10())
+    let mse = mse(reference, image)?;
+    Ok(if mse > 0.0 { 10.0 * (255.0 * 255.0 / mse).log10() } else { f64::INFINITY })
 }
 
 /// The largest difference of any red, green or blue byte.

@@ -408,9 +408,8 @@ impl Survey<'_> {
         });
         let map =
             metrics::flip_map(&truth.color, &color, width, height, metrics::PIXELS_PER_DEGREE)?;
-        let psnr = metrics::psnr(&truth.color, &color)?;
         let found = Metrics {
-            mse: 255.0 * 255.0 / 10f64.powf(0.1 * psnr),
+            mse: metrics::mse(&truth.color, &color)?,
             ssim: metrics::ssim(&truth.color, &color, width, height)?,
             flip: map.iter().sum::<f64>() / map.len().max(1) as f64,
             max_error: metrics::max_error(&truth.color, &color)?,

@@ -8,8 +8,11 @@ use std::fmt::Write;
 
 use super::report::{JudgedPoint, Report, three_digits};
 use super::tally::{Percentiles, Point};
+use crate::markup::{escaped, shortened};
 
 const WIDTH: f64 = 860.0;
+/// Characters of a line of the heading.
+const MOST_LETTERS: usize = 112;
 const LEFT: f64 = 84.0;
 /// Right edge of the panels. The lines' labels stand to the right of it.
 const RIGHT: f64 = WIDTH - 96.0;
@@ -162,31 +165,6 @@ fn tick_label(value: f64) -> String {
     if value == 0.0 || value >= 1.0 { format!("{value:.0}").to_owned() } else { format!("{value}") }
 }
 
-/// Escapes XML's special characters, and leaves out control characters, which XML does not admit.
-fn escaped(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for character in text.chars() {
-        match character {
-            '<' => out += "&lt;",
-            '>' => out += "&gt;",
-            '&' => out += "&amp;",
-            '"' => out += "&quot;",
-            c if c.is_control() || matches!(c, '\u{fffe}' | '\u{ffff}') => {}
-            c => out.push(c),
-        }
-    }
-    out
-}
-
-/// Cuts the text to the width of the picture.
-fn shortened(text: &str) -> String {
-    const MOST: usize = 112;
-    if text.chars().count() <= MOST {
-        return text.to_owned();
-    }
-    text.chars().take(MOST - 1).chain(['…']).collect()
-}
-
 // Writing to a string cannot fail, so results of `write!` are dropped below.
 
 /// The whole plot.
@@ -238,13 +216,13 @@ fn most(points: &[JudgedPoint], value: fn(&Point) -> Option<f64>) -> f64 {
 fn heading(out: &mut String, report: &Report) {
     let run = &report.run;
     let (arrivals, duration) = (format!("{:?}", run.spacing).to_lowercase(), run.duration_s);
-    let subject = shortened(&report.subject());
+    let subject = shortened(&report.subject(), MOST_LETTERS);
     let streams = match run.streams {
         0 => String::new(),
         count => format!(", {count} streams of {} poses/s", three_digits(run.poses_per_s)),
     };
     let how = format!("{} · {arrivals} arrivals{streams}, {duration} s a step", report.adapter());
-    let how = shortened(&how);
+    let how = shortened(&how, MOST_LETTERS);
     for (y, class, id, text) in [
         (30.0, "title", " id=\"title\"", "Frames under load"),
         (52.0, "soft", " id=\"subject\"", subject.as_str()),
@@ -524,6 +502,6 @@ mod tests {
     #[test]
     fn names_cannot_break_out() {
         assert_eq!(escaped("<b>&\u{1}\"é\n"), "&lt;b&gt;&amp;&quot;é");
-        assert_eq!(shortened(&"x".repeat(500)).chars().count(), 112);
+        assert_eq!(shortened(&"x".repeat(500), MOST_LETTERS).chars().count(), 112);
     }
 }

@@ -13,10 +13,11 @@ use image::imageops::{FilterType, resize};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::{ReportError, escaped};
+use super::ReportError;
 use crate::accuracy::results::Results;
 use crate::accuracy::survey::{REFERENCE, frame_file};
 use crate::encode::{FrameImage, ImageFormat, encode};
+use crate::markup::escaped;
 
 /// Most bytes of all images of a page before base64 makes them a third longer; the page then stays below 20 MB.
 pub const MOST_IMAGE_BYTES: u64 = 14_000_000;

@@ -5,10 +5,12 @@
 
 use std::fmt::Write;
 
-use super::escaped;
 use crate::accuracy::results::{Entry, Results, Scope, three_digits};
+use crate::markup::{escaped, shortened};
 
 const WIDTH: f64 = 980.0;
+/// Characters of a line of the heading.
+const MOST_LETTERS: usize = 128;
 const HEIGHT: f64 = 620.0;
 const LEFT: f64 = 72.0;
 const RIGHT: f64 = WIDTH - 24.0;
@@ -110,7 +112,7 @@ pub fn svg(results: &Results) -> String {
         let _ = writeln!(
             out,
             "<text class=\"{class}\"{id} x=\"{LEFT}\" y=\"{y}\">{}</text>",
-            escaped(&shortened(text))
+            escaped(&shortened(text.trim(), MOST_LETTERS))
         );
     }
     if let Some(scope) = results.scopes.first() {
@@ -118,16 +120,6 @@ pub fn svg(results: &Results) -> String {
     }
     out += "</svg>\n";
     out
-}
-
-/// The text, cut to the width of the image.
-fn shortened(text: &str) -> String {
-    const MOST: usize = 128;
-    let text = text.trim();
-    if text.chars().count() <= MOST {
-        return text.to_owned();
-    }
-    text.chars().take(MOST - 1).chain(['…']).collect()
 }
 
 fn time(entry: &Entry) -> f64 {
