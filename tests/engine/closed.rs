@@ -3,12 +3,12 @@
 use glam::DVec3;
 use pointillist::engine::{FrameRequest, Pose};
 use pointillist::math::{Camera, Lens};
-use pointillist::plan::{Output, Reconstruct, Settings};
+use pointillist::plan::{ColorBy, Lod, Output, Reconstruct, Settings};
 use pointillist::scene::Filter;
 use pointillist::scene::random::SplitMix64;
 use serde_json::json;
 
-use super::sheets::{Triangulation, ball, crumpled, sheet, split};
+use super::sheets::{Triangulation, ball, crumpled, delaunay, sheet, split};
 use super::studio::{Studio, cloud, cloud_scene, front, ids, mesh, spt};
 
 /// Pixels of the background that are not connected with the frame's border.
@@ -29,9 +29,14 @@ fn enclosed(is_seen: &[bool], side: usize) -> usize {
     is_outside.iter().filter(|is_reached| !**is_reached).count()
 }
 
-/// Holes in a scene of one asset, seen along −z from this distance.
-fn holes(studio: &Studio, scene: &str, distance: f64, settings: Settings) -> usize {
-    const SIDE: u32 = 120;
+/// Width and height of a frame of [`seen`].
+const SIDE: u32 = 120;
+
+/// The pixels that show a scene of one asset, seen along −z from this distance. With `lod=spt` they show its tree, even where full
+/// detail would take less time.
+fn seen(studio: &Studio, scene: &str, distance: f64, settings: Settings) -> Vec<bool> {
+    let color_by = if settings.lod == Lod::Spt { ColorBy::Levels } else { settings.color_by };
+    let settings = Settings { color_by, ..settings };
     let camera = Camera {
         eye: DVec3::Z * distance,
         target: DVec3::ZERO,
@@ -46,7 +51,12 @@ fn holes(studio: &Studio, scene: &str, distance: f64, settings: Settings) -> usi
     };
     let is_seen: Vec<bool> = ids(&studio.bytes(&request)).iter().map(|&id| id != 0).collect();
     assert!(is_seen.iter().filter(|&&is_seen| is_seen).count() > 500);
-    enclosed(&is_seen, SIDE as usize)
+    is_seen
+}
+
+/// Holes in a scene of one asset, seen along −z from this distance.
+fn holes(studio: &Studio, scene: &str, distance: f64, settings: Settings) -> usize {
+    enclosed(&seen(studio, scene, distance, settings), SIDE as usize)
 }
 
 fn load_mesh(studio: &Studio, name: &str, (positions, triangles): Triangulation) {
@@ -84,6 +94,36 @@ fn irregular_meshes_have_no_holes_as_point_trees() {
             for px in [0.5, 0.75, 1.0, 2.0, 4.0] {
                 let found = holes(&studio, name, distance, spt(px, Reconstruct::Points));
                 assert_eq!(found, 0, "points of {name} from {distance} with an error of {px} px");
+            }
+        }
+    }
+}
+
+/// The hull of a triangulation of random points consists of needles. Pixels that full detail covers stay covered.
+#[test]
+fn needles_along_a_border_leave_no_holes() {
+    const ROW: u32 = 60;
+    let studio = Studio::new();
+    let mut numbers = SplitMix64::new(9);
+    let mut random = || numbers.unit();
+    let mut on_grid = |at: u32| 2.0 * (f64::from(at) + 0.9 * random()) / f64::from(ROW) - 1.0;
+    let jittered =
+        (0..ROW * ROW).map(|i| DVec3::new(on_grid(i % ROW), on_grid(i / ROW), 0.0)).collect();
+    let scattered = (0..12_000).map(|_| {
+        let [x, y] = [0; 2].map(|_| numbers.range(-1.0, 1.0));
+        DVec3::new(x, y, 0.0)
+    });
+    for (name, positions) in [("jittered", jittered), ("scattered", scattered.collect())] {
+        load_mesh(&studio, name, delaunay(positions));
+        for distance in [3.3, 4.0, 4.8, 5.6, 6.6, 8.0] {
+            let full = seen(&studio, name, distance, Settings::drawn_as(Reconstruct::Points));
+            for px in [0.5, 1.0, 2.0, 4.0, 8.0] {
+                for reconstruct in [Reconstruct::Splats, Reconstruct::Points] {
+                    let found = seen(&studio, name, distance, spt(px, reconstruct));
+                    let open = full.iter().zip(&found).filter(|(full, found)| **full && !**found);
+                    let open = open.count();
+                    assert_eq!(open, 0, "{name} from {distance}: {reconstruct:?}, {px} px");
+                }
             }
         }
     }

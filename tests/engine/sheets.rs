@@ -89,3 +89,39 @@ pub fn crumpled(
 ) -> Triangulation {
     (positions.into_iter().map(|at| at * (1.0 - depth * random())).collect(), triangles)
 }
+
+/// The Delaunay triangulation of places in the plane z = 0, no four of which lie on a circle (A. Bowyer, D. F. Watson 1981). A triangle to
+/// infinity lies beyond each edge of the hull.
+pub fn delaunay(positions: Vec<DVec3>) -> Triangulation {
+    const FAR: u32 = u32::MAX;
+    let at = |vertex: u32| positions[vertex as usize];
+    let turn = |a: DVec3, b: DVec3, c: DVec3| (b - a).cross(c - a).z;
+    let circle_holds = |&[a, b, c]: &[u32; 3], place: DVec3| {
+        if c == FAR {
+            return turn(at(a), at(b), place) > 0.0;
+        }
+        let [a, b, c] = [a, b, c].map(|vertex| at(vertex) - place);
+        let lifted = |p: DVec3| DVec3::new(p.x, p.y, p.length_squared());
+        lifted(a).cross(lifted(b)).dot(lifted(c)) > 0.0
+    };
+    let with_far_last = |triangle: [u32; 3]| match triangle {
+        [FAR, b, c] => [b, c, FAR],
+        [a, FAR, c] => [c, a, FAR],
+        whole => whole,
+    };
+    let [b, c] = if turn(at(0), at(1), at(2)) > 0.0 { [1, 2] } else { [2, 1] };
+    let mut triangles = vec![[0, b, c], [b, 0, FAR], [c, b, FAR], [0, c, FAR]];
+    for vertex in 3..positions.len() as u32 {
+        let mut edges = Vec::new();
+        triangles.retain(|triangle| {
+            let stays = !circle_holds(triangle, at(vertex));
+            let [a, b, c] = *triangle;
+            edges.extend([(a, b), (b, c), (c, a)].into_iter().filter(|_| !stays));
+            stays
+        });
+        let outer = edges.iter().filter(|&&(a, b)| !edges.contains(&(b, a)));
+        triangles.extend(outer.map(|&(a, b)| with_far_last([a, b, vertex])));
+    }
+    triangles.retain(|triangle| triangle[2] != FAR);
+    (positions, triangles)
+}

@@ -43,6 +43,72 @@ fn large_triangles_have_one_sample_that_covers_them() {
     assert!((400..2000).contains(&small), "{small}");
 }
 
+/// Triangles of all kinds about a grid of small ones, most of them needles.
+fn with_needles(count: u32, random: &mut impl FnMut() -> f64) -> Mesh {
+    let mut mesh = mixed();
+    mesh.triangles.pop();
+    for _ in 0..count {
+        let first = mesh.positions.len() as u32;
+        let from = DVec3::new(3.0, random(), random());
+        let along = DVec3::new(random(), random(), random()) + 0.5;
+        let across = DVec3::new(random(), random(), random()) * random().powi(4);
+        mesh.positions.extend([from, from + along, from + along * random() + across]);
+        let mut corners = [first, first + 1, first + 2];
+        corners.rotate_left((3.0 * random()) as usize);
+        mesh.triangles.push(corners);
+    }
+    mesh
+}
+
+#[test]
+fn disks_along_needles_cover_them() {
+    let mut numbers = SplitMix64::new(8);
+    let mut random = || numbers.unit();
+    let (mut most, mut fewest) = (0, usize::MAX);
+    let mesh = with_needles(200, &mut random);
+    for triangle in &mesh.triangles[mesh.triangles.len() - 200..] {
+        let corners = triangle.map(|v| mesh.positions[v as usize]);
+        let count = needles::wanted(corners, 0.02) as usize;
+        let disks: Vec<needles::Disk> = needles::disks(corners, count).collect();
+        assert_eq!(disks.len(), count);
+        (most, fewest) = (most.max(count), fewest.min(count));
+        // Little is covered beside a needle.
+        let covered: f64 =
+            disks.iter().map(|disk| std::f64::consts::PI * disk.radius.powi(2)).sum();
+        let longest = longest_side(corners);
+        assert!(count == 16 || covered < 16.0 * longest * (area_of(corners) / longest).max(0.02));
+        for _ in 0..50 {
+            let weights = [0; 3].map(|_| random().powi(3));
+            let sum: f64 = weights.iter().sum();
+            let at = corners.iter().zip(weights).map(|(corner, weight)| *corner * (weight / sum));
+            let at: DVec3 = at.sum();
+            let is_in =
+                |disk: &needles::Disk| at.distance(disk.centre) <= disk.radius * (1.0 + 1e-9);
+            assert!(disks.iter().any(is_in), "{corners:?} {at}");
+        }
+    }
+    assert!(most == 16 && fewest == 1, "{fewest} to {most}");
+}
+
+/// Meshes that consist of needles keep about as many samples as they had.
+#[test]
+fn needles_share_a_limited_number_of_samples() {
+    let mut numbers = SplitMix64::new(9);
+    let mut random = || numbers.unit();
+    let few = with_needles(40, &mut random);
+    let many = with_needles(600, &mut random);
+    let samples =
+        |mesh: &Mesh, limit| hybrid_mesh(mesh, &[], &[], limit).unwrap().samples.positions.len();
+    let small = samples(&Mesh { triangles: few.triangles[..800].to_vec(), ..few.clone() }, 1 << 20);
+    let found = samples(&few, 1 << 20);
+    assert!(found > small + 80 && found <= small + 40 + few.triangles.len() / 4, "{small} {found}");
+    let found = samples(&many, 1 << 20);
+    let least = small + 600 + many.triangles.len() / 8;
+    assert!((least..=small + 600 + many.triangles.len() / 4).contains(&found), "{small} {found}");
+    // The limit of all samples leaves room for one each.
+    assert_eq!(samples(&many, (small + 600) as u64), small + 600);
+}
+
 /// From any viewpoint, a triangle is drawn where one of its samples is not.
 #[test]
 fn a_sample_or_its_triangle_is_drawn() {
