@@ -40,7 +40,8 @@ pub enum JournalError {
 }
 
 /// A pose of a survey.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[schema(as = SurveyPose)]
 pub struct PoseRecord {
     pub name: String,
     /// Folder of its frames in the report's folder of frames.
@@ -55,7 +56,8 @@ pub struct PoseRecord {
 }
 
 /// What a survey measures. Two runs with equal identities continue each other.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[schema(as = SurveyIdentity)]
 pub struct Identity {
     pub version: String,
     pub adapter: String,
@@ -82,7 +84,8 @@ impl Identity {
 }
 
 /// Errors of a frame against the reference.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[schema(as = SurveyErrors)]
 pub struct Metrics {
     /// Mean squared error of the red, green and blue bytes.
     pub mse: f64,
@@ -135,8 +138,8 @@ pub enum Record {
 /// An open journal.
 #[derive(Debug)]
 pub struct Journal {
-    path: PathBuf,
-    file: File,
+    /// The file and its path; `None` for a journal in memory alone.
+    place: Option<(PathBuf, File)>,
     /// Date of the first run.
     pub date: String,
     /// A number that follows from the identity.
@@ -175,7 +178,8 @@ impl Journal {
         let (records, kept) = parse(&path, &text)?;
         let is_own = text.is_empty() || kept > 0 || text.starts_with(FIRST);
         let (date, key) = (date.to_owned(), identity.key());
-        let mut journal = Journal { path, file, date: date.clone(), key, records: Vec::new() };
+        let place = Some((path.clone(), file));
+        let mut journal = Journal { place, date: date.clone(), key, records: Vec::new() };
         let mut records = records.into_iter();
         match records.next() {
             None if is_own => {
@@ -186,32 +190,39 @@ impl Journal {
             Some(Record::Run { identity: found, date }) => {
                 let differences = differences(&found, identity);
                 if !differences.is_empty() {
-                    let file = journal.path;
-                    return Err(JournalError::Other { file, differences: differences.join(", ") });
+                    let differences = differences.join(", ");
+                    return Err(JournalError::Other { file: path, differences });
                 }
                 journal.keep(kept)?;
                 (journal.date, journal.records) = (date, records.collect());
             }
             _ => {
                 let reason = "the first line does not say what was measured".to_owned();
-                return Err(JournalError::Damaged { file: journal.path, line: 1, reason });
+                return Err(JournalError::Damaged { file: path, line: 1, reason });
             }
         }
         Ok(journal)
     }
 
+    /// A journal that ends with the process.
+    pub fn in_memory(identity: &Identity, date: &str) -> Journal {
+        Journal { place: None, date: date.to_owned(), key: identity.key(), records: Vec::new() }
+    }
+
     /// Cuts the file off behind so many bytes: a crash may have left a part of a line.
     fn keep(&mut self, bytes: usize) -> Result<(), JournalError> {
-        let failed = |error| JournalError::Io { file: self.path.clone(), error };
-        self.file.set_len(bytes as u64).map_err(failed)?;
-        self.file.seek(SeekFrom::End(0)).map(drop).map_err(failed)
+        let Some((path, file)) = &mut self.place else { return Ok(()) };
+        let failed = |error| JournalError::Io { file: path.clone(), error };
+        file.set_len(bytes as u64).map_err(failed)?;
+        file.seek(SeekFrom::End(0)).map(drop).map_err(failed)
     }
 
     fn write(&mut self, record: &Record) -> Result<(), JournalError> {
-        let failed = |error| JournalError::Io { file: self.path.clone(), error };
+        let Some((path, file)) = &mut self.place else { return Ok(()) };
+        let failed = |error| JournalError::Io { file: path.clone(), error };
         let mut line = serde_json::to_vec(record).map_err(|error| failed(error.into()))?;
         line.push(b'\n');
-        self.file.write_all(&line).map_err(failed)
+        file.write_all(&line).map_err(failed)
     }
 
     /// Adds a finished measurement.
@@ -391,6 +402,14 @@ mod tests {
         let other = Identity { width: 65, ..identity() };
         assert!(Journal::open(folder.path(), &other, "monday").is_err());
         assert_eq!(std::fs::read(&journal).unwrap(), text);
+    }
+
+    #[test]
+    fn a_journal_in_memory_keeps_its_records() {
+        let mut journal = Journal::in_memory(&identity(), "monday");
+        journal.add(time(0)).unwrap();
+        assert_eq!((journal.records.as_slice(), journal.date.as_str()), (&[time(0)][..], "monday"));
+        assert_ne!(journal.key, Journal::in_memory(&Identity { width: 65, ..identity() }, "").key);
     }
 
     #[test]

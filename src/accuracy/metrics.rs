@@ -59,8 +59,12 @@ pub fn mse(reference: &[[u8; 4]], image: &[[u8; 4]]) -> Result<f64, SizeMismatch
 /// # Errors
 /// The images have different sizes.
 pub fn psnr(reference: &[[u8; 4]], image: &[[u8; 4]]) -> Result<f64, SizeMismatch> {
-    let mse = mse(reference, image)?;
-    Ok(if mse > 0.0 { 10.0 * (255.0 * 255.0 / mse).log10() } else { f64::INFINITY })
+    Ok(psnr_db(mse(reference, image)?).unwrap_or(f64::INFINITY))
+}
+
+/// Peak signal-to-noise ratio in dB of a mean squared error; `None` for equal images.
+pub fn psnr_db(mse: f64) -> Option<f64> {
+    (mse > 0.0).then(|| 10.0 * (255.0 * 255.0 / mse).log10())
 }
 
 /// The largest difference of any red, green or blue byte.
@@ -145,7 +149,7 @@ fn blur(plane: &[f64], width: usize, height: usize) -> Vec<f64> {
 }
 
 /// Pixels that one image covers and the other does not.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Coverage {
     pub covered_reference: u64,
     pub covered_image: u64,
@@ -309,7 +313,7 @@ pub fn covered_by_depth<T: Copy + Into<f64>>(depth: &[T]) -> Vec<bool> {
 }
 
 /// Distribution of an error over the pixels that can be compared.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Spread {
     pub pixels: u64,
     pub max: f64,

@@ -10,14 +10,19 @@
 //!                           with the  finished   (pure)     SVG, HTML (pure)
 //!                           engine    frame
 //! ```
-//! [`truth`] holds the frame that errors are measured against.
+//! [`truth`] holds the frame that errors are measured against, [`mod@difference`] the errors of one image, and [`service`] the surveys of a daemon.
+mod date;
+pub mod difference;
 pub mod journal;
 pub mod metrics;
 pub mod poses;
 pub mod reference;
 pub mod report;
 pub mod results;
+pub mod service;
 pub mod stability;
 pub mod survey;
 pub mod sweep;
 pub mod truth;
+
+pub use date::date;

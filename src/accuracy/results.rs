@@ -6,15 +6,19 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use super::journal::{Identity, Metrics, Record};
-use super::metrics::{Coverage, Spread};
+use super::metrics::{Coverage, Spread, psnr_db};
 use super::sweep::{Price, Quartiles, Row, owners, pareto, price};
 use crate::plan::Given;
 
 /// Name of the scope that holds all poses.
 pub const ALL_POSES: &str = "all poses";
 
+/// Family of frames that show no samples.
+const NO_SAMPLES: &str = "meshes, lines";
+
 /// Everything that a report shows.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, utoipa::ToSchema)]
+#[schema(as = SurveyResults)]
 pub struct Results {
     pub identity: Identity,
     /// Date of the first run, in UTC.
@@ -26,15 +30,20 @@ pub struct Results {
 }
 
 /// Rows at one pose, or over all of them.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, utoipa::ToSchema)]
+#[schema(as = SurveyScope)]
 pub struct Scope {
     pub name: String,
     /// Folder of the pose's frames; `None` for all poses.
     pub folder: Option<String>,
     pub entries: Vec<Entry>,
+    /// The entry that stands for what is drawn when nothing is chosen.
+    pub default: Option<String>,
     /// Rows that the program refuses, each with the reason.
+    #[schema(value_type = Vec<Vec<String>>)]
     pub refused: Vec<(String, String)>,
     /// Labels of the rows on the Pareto front of time and error, from the fastest to the most exact, by the measure of the error.
+    #[schema(value_type = BTreeMap<String, Vec<String>>)]
     pub fronts: BTreeMap<&'static str, Vec<String>>,
     /// Prices from each point of the front of `psnr` to the next.
     pub steps: Vec<Price>,
@@ -43,12 +52,15 @@ pub struct Scope {
 }
 
 /// A row's errors and times.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, utoipa::ToSchema)]
+#[schema(as = SurveyEntry)]
 pub struct Entry {
     pub row: String,
     pub family: String,
     /// File name of its frames.
     pub slug: String,
+    /// Settings of the row; others have their defaults.
+    pub settings: Given,
     /// The row that draws the same frame.
     pub same_as: Option<String>,
     /// The receipt's reasons for drawing otherwise than requested.
@@ -86,10 +98,6 @@ pub const MEASURES: [(&str, ErrorOf); 3] = [
 /// Points of a front are at least so much more exact than the one before.
 const SEEN_DB: f64 = 0.1;
 
-fn psnr_db(mse: f64) -> Option<f64> {
-    (mse > 0.0).then(|| 10.0 * (255.0 * 255.0 / mse).log10())
-}
-
 impl Results {
     /// Results of what a journal has.
     pub fn new(identity: Identity, date: String, rows: &[Row], records: &[Record]) -> Results {
@@ -108,7 +116,7 @@ impl Results {
 }
 
 impl Scope {
-    fn new(name: &str, folder: Option<&str>, entries: Vec<Entry>) -> Scope {
+    fn new(name: &str, folder: Option<&str>, rows: &[Row], entries: Vec<Entry>) -> Scope {
         let time = |entry: &Entry| entry.gpu_ms.map_or(f64::INFINITY, |time| time.median);
         let own: Vec<&Entry> = plotted(&entries).collect();
         let (mut fronts, mut steps, mut whole) = (BTreeMap::new(), Vec::new(), None);
@@ -130,6 +138,10 @@ impl Scope {
         Scope {
             name: name.to_owned(),
             folder: folder.map(str::to_owned),
+            default: rows.iter().find(|row| row.is_default()).and_then(|row| {
+                let entry = entries.iter().find(|entry| entry.row == row.label)?;
+                Some(entry.same_as.clone().unwrap_or_else(|| entry.row.clone()))
+            }),
             entries,
             refused: Vec::new(),
             fronts,
@@ -187,16 +199,17 @@ impl Scope {
             if let Some(Record::Image { metrics, .. }) = of_pose.get(owner) {
                 let same_as = (owner != row.label).then(|| owner.to_owned());
                 let gpu_ms = times.get(owner).and_then(|times| Quartiles::of(times));
-                entries.push(Entry::new(
-                    row,
-                    same_as,
-                    own_notes.clone(),
-                    gpu_ms,
-                    (**metrics).clone(),
-                ));
+                let family = match of_pose.get(owner) {
+                    Some(Record::Image { drawn, .. }) if !drawn.draws_samples() => NO_SAMPLES,
+                    _ => &row.family,
+                };
+                entries.push(Entry {
+                    family: family.to_owned(),
+                    ..Entry::new(row, same_as, own_notes.clone(), gpu_ms, (**metrics).clone())
+                });
             }
         }
-        let scope = Scope::new(name, Some(folder), entries);
+        let scope = Scope::new(name, Some(folder), rows, entries);
         Scope { refused, ..scope }
     }
 
@@ -219,9 +232,10 @@ impl Scope {
             let times: Option<Vec<Quartiles>> = own.iter().map(|entry| entry.gpu_ms).collect();
             let time = times.and_then(|times| Quartiles::mean(&times));
             let metrics: Vec<&Metrics> = own.iter().map(|entry| &entry.metrics).collect();
-            Some(Entry::new(row, same_as, notes, time, pooled(&metrics)))
+            let family = first.family.clone();
+            Some(Entry { family, ..Entry::new(row, same_as, notes, time, pooled(&metrics)) })
         };
-        Scope::new(ALL_POSES, None, rows.iter().filter_map(entry).collect())
+        Scope::new(ALL_POSES, None, rows, rows.iter().filter_map(entry).collect())
     }
 }
 
@@ -237,6 +251,7 @@ impl Entry {
             row: row.label.clone(),
             family: row.family.clone(),
             slug: row.slug(),
+            settings: row.given,
             same_as,
             notes,
             psnr_db: psnr_db(metrics.mse),
@@ -523,17 +538,17 @@ pub(super) mod tests {
             results.summary
         );
         assert!(results.summary.contains("fast way (1.60 ms, 30.0 dB)"), "{}", results.summary);
-        let one = Scope::new("p", None, vec![results.scopes[1].entries[0].clone()]);
+        let one = Scope::new("p", None, &[], vec![results.scopes[1].entries[0].clone()]);
         let text = summary(&one);
         assert!(text.contains("the fastest is fast way") && text.contains("No slower"), "{text}");
         // A frame that equals the reference has no decibels.
         let mut entries = results.scopes[1].entries.clone();
         let exact = entries.iter_mut().find(|entry| entry.row == "good way").unwrap();
         (exact.psnr_db, exact.metrics.mse) = (None, 0.0);
-        let text = summary(&Scope::new("p", None, entries));
+        let text = summary(&Scope::new("p", None, &[], entries));
         assert!(text.contains("good way equals the reference and takes"), "{text}");
         assert!(!text.contains("inf"), "{text}");
-        assert!(summary(&Scope::new("p", None, Vec::new())).starts_with("No setting"));
+        assert!(summary(&Scope::new("p", None, &[], Vec::new())).starts_with("No setting"));
     }
 
     #[test]
@@ -549,6 +564,8 @@ pub(super) mod tests {
         };
         let scope = Scope::of_pose("p", "1-p", &["a", "b"].map(row), &[image("a"), image("b")]);
         assert_eq!(scope.entries[1].same_as.as_deref(), Some("a"));
+        // Both rows give nothing, so the first of them is the default.
+        assert_eq!(scope.default.as_deref(), Some("a"));
     }
 
     #[test]

@@ -6,21 +6,31 @@
 //! 3. The frames that are timed are drawn in random order over all poses and rows.
 //!
 //! Rows whose frames the program draws alike are drawn once; the others name that row and the receipt's reason.
+//!
+//! A survey without a folder keeps no frames, and draws the reference of a pose anew when it is needed.
 
-use std::collections::{BTreeMap, HashSet};
+mod known;
+
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
+use self::known::Known;
+use super::difference::{Difference, Shot};
 use super::journal::{Identity, Journal, JournalError, Metrics, PoseRecord, Record, write_whole};
 use super::metrics::{self, SizeMismatch};
+use super::poses::{UnknownCamera, around, of_cameras};
 use super::reference::Reference;
-use super::sweep::{Draw, Row, order, owners, slug};
-use super::truth::{PARTS, Truth, Wide, floats, is_covered, opaque, quads};
+use super::sweep::{Row, order, owners, slug};
+use super::truth::{Finer, PARTS, Truth, Wide, floats, is_covered, opaque, quads};
 use crate::encode::{EncodeError, FrameImage, ImageFormat, encode};
-use crate::engine::{EncodedFrame, Engine, EngineError, FrameRequest, Pose, Receipt};
-use crate::math::{Camera, CameraError};
-use crate::plan::{Given, Output, Settings, Wait};
+use crate::engine::{
+    Client, EncodedFrame, Engine, EngineError, FrameRequest, Pose, Receipt, SceneInfo,
+};
+use crate::math::{Camera, CameraError, Lens};
+use crate::plan::{Given, Output, Settings};
 
 /// Folder of the frames in a report, and of the references within it.
 pub const FRAMES: &str = "frames";
@@ -38,6 +48,8 @@ pub enum SurveyError {
     Encode(#[from] EncodeError),
     #[error(transparent)]
     Size(#[from] SizeMismatch),
+    #[error(transparent)]
+    UnknownCamera(#[from] UnknownCamera),
     #[error("{file}: {error}", file = file.display())]
     Io { file: PathBuf, error: std::io::Error },
     #[error("{0} has no GPU timestamps, so frames cannot be timed on it")]
@@ -50,6 +62,8 @@ pub enum SurveyError {
         "pose {0} shows nothing of the scene, so there is nothing to compare; choose other cameras"
     )]
     Blank(String),
+    #[error("the survey was told to stop")]
+    Stopped,
 }
 
 /// A pose with a name.
@@ -83,9 +97,14 @@ impl NamedPose {
     }
 }
 
+/// Longest pause before a frame that the engine could not take is tried again.
+const LONGEST_PAUSE: Duration = Duration::from_secs(1);
+
 /// What a survey draws.
 pub struct Survey<'a> {
     pub engine: &'a Engine,
+    /// Client whose share of the device the frames take.
+    pub client: Client,
     /// Id of the scene in the engine.
     pub scene: &'a str,
     pub poses: Vec<NamedPose>,
@@ -95,7 +114,10 @@ pub struct Survey<'a> {
     pub seed: u64,
     /// The f64 oracle's scene, where its frames are the references.
     pub oracle: Option<&'a Reference>,
-    pub folder: &'a Path,
+    /// Folder of the report, where there is one.
+    pub folder: Option<&'a Path>,
+    /// Ends the survey after the frame at hand.
+    pub stop: &'a AtomicBool,
 }
 
 /// Progress of a survey.
@@ -117,6 +139,34 @@ pub fn frame_file(folder: &str, slug_of_row: &str, suffix: &str) -> String {
 pub const REFERENCE: &str = "reference";
 
 impl Survey<'_> {
+    /// Finds the poses: cameras of the scene, by their names or the first ones, or views around a scene without cameras. With `first_only`, one
+    /// pose unless cameras are named.
+    ///
+    /// # Errors
+    /// A name that is not among the scene's cameras, or the engine fails.
+    pub fn find_poses(
+        &mut self,
+        info: &SceneInfo,
+        names: &[String],
+        first_only: bool,
+    ) -> Result<(), SurveyError> {
+        self.poses = if info.cameras.is_empty() && names.is_empty() {
+            let seen = self.draw(self.request_at(Pose::FIT))?.receipt.camera.clone();
+            let lens = match (seen.ortho_height, seen.fov_deg) {
+                (Some(height), _) => Lens::Orthographic { height },
+                (None, fov_deg) => Lens::Perspective { fov_deg: fov_deg.unwrap_or(40.0) },
+            };
+            let [eye, target, up] = [seen.eye, seen.target, seen.up].map(glam::DVec3::from);
+            around(&Camera { eye, target, up, lens })
+        } else {
+            of_cameras(&info.cameras, names)?
+        };
+        if first_only && names.is_empty() {
+            self.poses.truncate(1);
+        }
+        Ok(())
+    }
+
     /// Leaves out the poses from which nothing is seen, and returns their names.
     ///
     /// # Errors
@@ -188,20 +238,33 @@ impl Survey<'_> {
         }
     }
 
-    fn draw(&self, request: FrameRequest) -> Result<Arc<EncodedFrame>, EngineError> {
-        self.engine.submit(request)?.wait()
+    /// Draws a frame. While the engine has no room for it or has lost its device, the survey waits.
+    fn draw(&self, request: FrameRequest) -> Result<Arc<EncodedFrame>, SurveyError> {
+        loop {
+            let drawn = self.engine.submit_for(self.client, request.clone());
+            match drawn.and_then(crate::engine::FrameTicket::wait) {
+                Err(
+                    EngineError::Busy { retry_after } | EngineError::DeviceLost { retry_after },
+                ) => {
+                    if self.stop.load(Ordering::Relaxed) {
+                        return Err(SurveyError::Stopped);
+                    }
+                    std::thread::sleep(retry_after.min(LONGEST_PAUSE));
+                }
+                other => return Ok(other?),
+            }
+        }
     }
 
-    /// Size of the reference's frames, and their settings for a frame's own ones.
-    fn wide(&self) -> Result<([u32; 2], u64, u32), SurveyError> {
+    /// How references are drawn.
+    fn finer(&self) -> Result<Finer, SurveyError> {
         let limits = self.engine.limits();
-        let [width, height] = self.size;
-        let [wide, high] = self.size.map(|side| side.saturating_mul(PARTS));
-        let (pixels, side) = (limits.max_pixels, limits.max_side);
-        if u64::from(wide) * u64::from(high) > pixels || wide.max(high) > side {
-            return Err(SurveyError::TooLarge { width, height, wide, high, pixels, side });
-        }
-        Ok(([wide, high], pixels, side))
+        Finer::new(self.size, &limits).ok_or_else(|| {
+            let [width, height] = self.size;
+            let [wide, high] = self.size.map(|side| side.saturating_mul(PARTS));
+            let (pixels, side) = (limits.max_pixels, limits.max_side);
+            SurveyError::TooLarge { width, height, wide, high, pixels, side }
+        })
     }
 
     fn reference_in_words(&self) -> Result<String, SurveyError> {
@@ -210,15 +273,15 @@ impl Survey<'_> {
                 "the f64 oracle on the CPU: every sample as a splat, every triangle and line, {PARTS} × {PARTS} parts a pixel, averaged in linear light"
             ));
         }
-        let ([wide, high], pixels, side) = self.wide()?;
-        let parts = Settings::exact().antialiased_within([wide, high], pixels, side).parts();
+        let wide = self.finer()?;
+        let (parts, Finer { width, height, .. }) = (wide.parts(), wide);
         let finer = if parts > 1 {
             format!(", each of them the mean of {parts} × {parts} parts")
         } else {
             String::new()
         };
         Ok(format!(
-            "full detail at {PARTS} × {PARTS} times the pixels ({wide}x{high}){finer}, averaged in linear light; samples as splats, meshes as triangles, drawn by the engine"
+            "full detail at {PARTS} × {PARTS} times the pixels ({width}x{height}){finer}, averaged in linear light; samples as splats, meshes as triangles, drawn by the engine"
         ))
     }
 
@@ -230,19 +293,13 @@ impl Survey<'_> {
             let splats = oracle.description().splats;
             return Ok(Truth::of_oracle(&oracle.frame_with(&view, PARTS, Some(&splats))));
         }
-        let (wide, pixels, side) = self.wide()?;
+        let finer = self.finer()?;
         let own =
             self.request(Pose::Camera(pose.camera), complete(Settings::exact()), Output::Color);
         let decided = *self.engine.resolve_blocking(own.clone())?.settings();
-        let draw = |output, transparent| {
-            let exact = complete(decided.finer(PARTS, transparent));
-            let settings = match output {
-                Output::Color => exact.antialiased_within(wide, pixels, side),
-                _ => exact,
-            };
-            let [width, height] = wide;
-            self.draw(FrameRequest { width, height, settings, output, ..own.clone() })
-        };
+        let decided = decided.comparable();
+        let draw =
+            |output, transparent| self.draw(finer.request(&own, &decided, output, transparent));
         let wide = Wide {
             color: quads(&draw(Output::Color, false)?.bytes),
             coverage: quads(&draw(Output::Color, true)?.bytes),
@@ -254,19 +311,28 @@ impl Survey<'_> {
 
     /// The reference of a pose, from the folder if it is there. `key` is that of the survey.
     fn kept_truth(&self, pose: &NamedPose, key: u64) -> Result<Truth, SurveyError> {
-        let png = self.folder.join(frame_file(&pose.folder, REFERENCE, ""));
-        let file = png.with_extension(format!("{key:016x}.gz"));
+        let png = self.file(pose, REFERENCE, "");
+        let file = png.as_ref().map(|png| png.with_extension(format!("{key:016x}.gz")));
         let [width, height] = self.size;
-        if let Some(truth) = Truth::read(&file, width, height).filter(|_| png.exists()) {
+        if let (Some(png), Some(file)) = (&png, &file)
+            && let Some(truth) = Truth::read(file, width, height).filter(|_| png.exists())
+        {
             return Ok(truth);
         }
         let truth = self.truth(pose)?;
         if truth.covered_pixels() == 0 {
             return Err(SurveyError::Blank(pose.name.clone()));
         }
-        self.write_png(&png, truth.color.clone())?;
-        truth.write(&file).map_err(|error| SurveyError::Io { file, error })?;
+        if let (Some(png), Some(file)) = (png, file) {
+            self.write_png(&png, truth.color.clone())?;
+            truth.write(&file).map_err(|error| SurveyError::Io { file, error })?;
+        }
         Ok(truth)
+    }
+
+    /// Path of an image of a pose; `None` without a folder.
+    fn file(&self, pose: &NamedPose, slug_of_row: &str, suffix: &str) -> Option<PathBuf> {
+        Some(self.folder?.join(frame_file(&pose.folder, slug_of_row, suffix)))
     }
 
     fn write_png(&self, file: &Path, rgba: Vec<[u8; 4]>) -> Result<(), SurveyError> {
@@ -279,16 +345,31 @@ impl Survey<'_> {
         write_whole(file, &png.bytes).map_err(failed)
     }
 
-    /// Draws what the journal lacks. Stops after the frame at hand when `stop` is set, and returns whether everything is there.
+    /// Draws what the journal lacks, and returns whether everything is there.
     ///
     /// # Errors
     /// The engine fails, a file cannot be written, or the adapter has no timestamps.
     pub fn run(
         &self,
         journal: &mut Journal,
-        stop: &AtomicBool,
-        mut tell: impl FnMut(Event<'_>),
+        tell: impl FnMut(Event<'_>),
     ) -> Result<bool, SurveyError> {
+        match self.draw_missing(journal, tell) {
+            Ok(()) => Ok(true),
+            Err(SurveyError::Stopped) => Ok(false),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn check_stop(&self) -> Result<(), SurveyError> {
+        if self.stop.load(Ordering::Relaxed) { Err(SurveyError::Stopped) } else { Ok(()) }
+    }
+
+    fn draw_missing(
+        &self,
+        journal: &mut Journal,
+        mut tell: impl FnMut(Event<'_>),
+    ) -> Result<(), SurveyError> {
         let mut known = Known::of(&journal.records);
         let key = journal.key;
         let images = (self.poses.len() * self.rows.len()) as u64;
@@ -297,17 +378,16 @@ impl Survey<'_> {
         let mut warm = HashSet::new();
         for (pose_number, pose) in self.poses.iter().enumerate() {
             let mut truth = None;
-            if !self.folder.join(frame_file(&pose.folder, REFERENCE, "")).exists() {
+            if self.file(pose, REFERENCE, "").is_some_and(|file| !file.exists()) {
                 truth = Some(self.kept_truth(pose, key)?);
             }
             let (drawn, owners) = self.owners(pose);
             for (row_number, row) in self.rows.iter().enumerate() {
-                if stop.load(Ordering::Relaxed) {
-                    return Ok(false);
-                }
+                self.check_stop()?;
                 done += 1;
-                let frame = self.folder.join(frame_file(&pose.folder, &row.slug(), ""));
-                let is_lost = owners[row_number] == Some(row_number) && !frame.exists();
+                let frame = self.file(pose, &row.slug(), "");
+                let is_lost = owners[row_number] == Some(row_number)
+                    && frame.is_some_and(|frame| !frame.exists());
                 if known.has(&pose.name, &row.label) && !is_lost {
                     continue;
                 }
@@ -337,9 +417,7 @@ impl Survey<'_> {
         let draws = order(&subjects, self.repeats, self.seed);
         let total = done + draws.len() as u64;
         for draw in draws {
-            if stop.load(Ordering::Relaxed) {
-                return Ok(false);
-            }
+            self.check_stop()?;
             done += 1;
             let (pose, row) = (&self.poses[draw.pose], &self.rows[draw.row]);
             if known.is_timed(pose, row, &draw) {
@@ -355,7 +433,7 @@ impl Survey<'_> {
             let (pose, row) = (pose.name.clone(), row.label.clone());
             journal.add(Record::Time { pose, row, repeat: draw.repeat, gpu_ms })?;
         }
-        Ok(true)
+        Ok(())
     }
 
     /// What each row is drawn with at a pose, or why it is refused, and the row that stands for all that are drawn alike.
@@ -385,7 +463,6 @@ impl Survey<'_> {
 
     /// Draws all outputs of a row, compares them with the reference, and writes the frame and its FLIP map.
     fn compare(&self, pose: &NamedPose, row: &Row, truth: &Truth) -> Result<Record, SurveyError> {
-        let [width, height] = self.size;
         let request = self.row_request(pose, row);
         let frame = self.draw(request.clone())?;
         let color: Vec<[u8; 4]> = quads(&frame.bytes).into_iter().map(opaque).collect();
@@ -397,7 +474,7 @@ impl Survey<'_> {
         let own = |output| {
             let frame = self.draw(FrameRequest { output, ..request.clone() })?;
             let is_own = frame.receipt.settings.instead_because == instead;
-            Ok::<_, EngineError>(is_own.then_some(frame))
+            Ok::<_, SurveyError>(is_own.then_some(frame))
         };
         let depth = own(Output::Depth)?.map(|frame| floats(&frame.bytes));
         let depth = depth.map(|depth| metrics::depth_error(&truth.depth, &depth)).transpose()?;
@@ -406,20 +483,17 @@ impl Survey<'_> {
             let own = metrics::normals_from_rgba8(&quads(&frame.bytes));
             metrics::normal_error_deg(&normals, &own)
         });
-        let map =
-            metrics::flip_map(&truth.color, &color, width, height, metrics::PIXELS_PER_DEGREE)?;
-        let found = Metrics {
-            mse: metrics::mse(&truth.color, &color)?,
-            ssim: metrics::ssim(&truth.color, &color, width, height)?,
-            flip: map.iter().sum::<f64>() / map.len().max(1) as f64,
-            max_error: metrics::max_error(&truth.color, &color)?,
-            coverage: metrics::coverage(&truth.covered, &covered, width, height)?,
-            depth: depth.flatten(),
-            normal_deg: normal.transpose()?.flatten(),
-        };
-        let file = |suffix| self.folder.join(frame_file(&pose.folder, &row.slug(), suffix));
-        self.write_png(&file(""), color)?;
-        self.write_png(&file("-flip"), map.into_iter().map(super::report::heat).collect())?;
+        let shot = Shot { color: &color, covered: &covered };
+        let Difference { mse, ssim, flip, max_error, coverage, map } =
+            Difference::between(truth.shot(), shot, self.size)?;
+        let (depth, normal_deg) = (depth.flatten(), normal.transpose()?.flatten());
+        let found = Metrics { mse, ssim, flip, max_error, coverage, depth, normal_deg };
+        if let Some(file) = self.file(pose, &row.slug(), "") {
+            self.write_png(&file, color)?;
+        }
+        if let Some(file) = self.file(pose, &row.slug(), "-flip") {
+            self.write_png(&file, map.into_iter().map(super::report::heat).collect())?;
+        }
         Ok(Record::Image {
             pose: pose.name.clone(),
             row: row.label.clone(),
@@ -432,7 +506,7 @@ impl Survey<'_> {
 
 /// Settings with which a frame waits for everything that it needs, without what only some settings have.
 fn complete(settings: Settings) -> Settings {
-    Settings { wait: Wait::Complete, ..settings.comparable() }
+    settings.comparable().complete()
 }
 
 /// The receipt's reasons for drawing in another way than requested.
@@ -443,123 +517,9 @@ fn notes(receipt: &Receipt) -> Vec<String> {
     [because, instead, used.full_because.clone()].into_iter().flatten().collect()
 }
 
-/// What the journal has.
-#[derive(Debug, Default)]
-struct Known {
-    /// What the rows of a pose were drawn with; `None` for those that were not drawn for themselves.
-    drawn: BTreeMap<(String, String), Option<Given>>,
-    timed: HashSet<(String, String, u32)>,
-}
-
-impl Known {
-    fn of(records: &[Record]) -> Known {
-        let mut known = Known::default();
-        records.iter().for_each(|record| known.see(record));
-        known
-    }
-
-    fn see(&mut self, record: &Record) {
-        match record {
-            Record::Run { .. } => {}
-            Record::Image { pose, row, drawn, .. } => {
-                self.drawn.insert((pose.clone(), row.clone()), Some(**drawn));
-            }
-            Record::Same { pose, row, .. } | Record::Refused { pose, row, .. } => {
-                self.drawn.insert((pose.clone(), row.clone()), None);
-            }
-            Record::Time { pose, row, repeat, .. } => {
-                self.timed.insert((pose.clone(), row.clone(), *repeat));
-            }
-        }
-    }
-
-    fn has(&self, pose: &str, row: &str) -> bool {
-        self.drawn.contains_key(&(pose.to_owned(), row.to_owned()))
-    }
-
-    fn is_timed(&self, pose: &NamedPose, row: &Row, draw: &Draw) -> bool {
-        self.timed.contains(&(pose.name.clone(), row.label.clone(), draw.repeat))
-    }
-
-    /// Numbers of the poses and rows that are drawn for themselves.
-    fn subjects(&self, poses: &[NamedPose], rows: &[Row]) -> Vec<(usize, usize)> {
-        let mut subjects = Vec::new();
-        for (number, pose) in poses.iter().enumerate() {
-            let drawn = |row: &Row| {
-                self.drawn.get(&(pose.name.clone(), row.label.clone())).and_then(Option::as_ref)
-            };
-            let pairs: Vec<_> = rows.iter().map(|row| (&row.given, drawn(row))).collect();
-            let own = owners(&pairs).into_iter().enumerate();
-            subjects.extend(
-                own.filter(|&(row, owner)| owner == Some(row)).map(|(row, _)| (number, row)),
-            );
-        }
-        subjects
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn image(row: &str, drawn: Given) -> Record {
-        let metrics = Metrics {
-            mse: 1.0,
-            ssim: 1.0,
-            flip: 0.0,
-            max_error: 1,
-            coverage: metrics::Coverage::default(),
-            depth: None,
-            normal_deg: None,
-        };
-        let (pose, row) = ("p".to_owned(), row.to_owned());
-        Record::Image {
-            pose,
-            row,
-            metrics: Box::new(metrics),
-            drawn: Box::new(drawn),
-            notes: vec![],
-        }
-    }
-
-    #[test]
-    fn rows_that_were_drawn_alike_are_timed_once() {
-        let splats = Given { prefilter: Some(true), ..Given::default() };
-        let same = Record::Same {
-            pose: "p".into(),
-            row: "c".into(),
-            same_as: "a".into(),
-            notes: Vec::new(),
-        };
-        let refused = Record::Refused { pose: "p".into(), row: "d".into(), why: "no".into() };
-        let time = Record::Time { pose: "p".into(), row: "a".into(), repeat: 1, gpu_ms: 2.0 };
-        let records = [
-            image("a", Given::default()),
-            image("b", splats),
-            same,
-            refused,
-            image("e", splats),
-            time,
-        ];
-        let known = Known::of(&records);
-        let row = |label: &str| Row {
-            label: label.to_owned(),
-            family: String::new(),
-            given: Given::default(),
-        };
-        let rows = ["a", "b", "c", "d", "e", "f"].map(row);
-        let camera = Camera {
-            eye: glam::DVec3::Z,
-            target: glam::DVec3::ZERO,
-            up: glam::DVec3::Y,
-            lens: crate::math::Lens::Perspective { fov_deg: 40.0 },
-        };
-        let poses = [NamedPose::new(0, "p", camera)];
-        assert_eq!(known.subjects(&poses, &rows), [(0, 0), (0, 1)]);
-        assert!(known.has("p", "e") && !known.has("p", "f") && !known.has("q", "a"));
-        let timed = |repeat| known.is_timed(&poses[0], &rows[0], &Draw { pose: 0, row: 0, repeat });
-        assert!(timed(1) && !timed(0));
-    }
 
     #[test]
     fn files_have_the_names_of_pose_and_row() {

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::plan::{Extent, Given, trade_offs};
+use crate::plan::{Extent, Given, Settings, trade_offs};
 use crate::scene::random::SplitMix64;
 
 /// A combination of settings that a survey measures.
@@ -16,6 +16,11 @@ pub struct Row {
 }
 
 impl Row {
+    /// Whether the row is what the program draws when nothing is chosen.
+    pub fn is_default(&self) -> bool {
+        Settings::from(self.given) == Settings::default()
+    }
+
     /// Name as a part of file names: letters, digits and single hyphens.
     pub fn slug(&self) -> String {
         slug(&self.label)
@@ -76,7 +81,7 @@ pub fn order(subjects: &[(usize, usize)], repeats: u32, seed: u64) -> Vec<Draw> 
 }
 
 /// Median and quartiles of repeated measurements.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Quartiles {
     pub count: usize,
     pub low: f64,
@@ -129,7 +134,7 @@ pub fn pareto(points: &[(f64, f64)]) -> Vec<usize> {
 }
 
 /// Price of accuracy between two points of a front.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct Price {
     pub from_db: f64,
     pub to_db: f64,
@@ -229,6 +234,7 @@ mod tests {
         let slugs: BTreeSet<String> = rows.iter().map(Row::slug).collect();
         assert_eq!(slugs.len(), rows.len());
         assert!(slugs.contains("splats-spt-0-25-px"), "{slugs:?}");
+        assert_eq!(rows.iter().filter(|row| row.is_default()).count(), 1);
         assert_eq!(slug("a/../b  c"), "a-b-c");
     }
 }

@@ -17,8 +17,11 @@ use flate2::write::GzEncoder;
 use glam::DVec3;
 use rayon::prelude::*;
 
+use super::difference::Shot;
 use super::metrics::normals_from_rgba8;
+use crate::engine::{FrameRequest, Limits};
 use crate::oracle::OracleFrame;
+use crate::plan::{Output, Settings};
 use crate::scene::color::{linear_from_srgb, srgb_from_linear};
 
 /// Pixels of a reference along each side of a frame's pixel.
@@ -72,42 +75,100 @@ fn srgb8(linear: f64) -> u8 {
     (255.0 * srgb_from_linear(linear.clamp(0.0, 1.0))).round() as u8
 }
 
+/// How the engine draws the reference of a frame: at [`PARTS`] times the width and height.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Finer {
+    pub width: u32,
+    pub height: u32,
+    /// Limits of frames.
+    pixels: u64,
+    side: u32,
+}
+
+impl Finer {
+    /// The size of the reference for frames of this size; `None` where it is beyond the limits of frames.
+    pub fn new([width, height]: [u32; 2], limits: &Limits) -> Option<Finer> {
+        let [width, height] = [width, height].map(|side| side.saturating_mul(PARTS));
+        let (pixels, side) = (limits.max_pixels, limits.max_side);
+        let fits = u64::from(width) * u64::from(height) <= pixels && width.max(height) <= side;
+        fits.then_some(Finer { width, height, pixels, side })
+    }
+
+    /// Parts along each side of one of the reference's own pixels, which the limits of frames decide.
+    pub fn parts(&self) -> u32 {
+        Settings::exact()
+            .antialiased_within([self.width, self.height], self.pixels, self.side)
+            .parts()
+    }
+
+    /// An image of the reference. `own` is a frame at full detail, and `decided` are the settings that it resolves to.
+    pub fn request(
+        &self,
+        own: &FrameRequest,
+        decided: &Settings,
+        output: Output,
+        transparent: bool,
+    ) -> FrameRequest {
+        let (width, height) = (self.width, self.height);
+        let exact = Settings { wait: own.settings.wait, ..decided.finer(PARTS, transparent) };
+        let settings = match output {
+            Output::Color => exact.antialiased_within([width, height], self.pixels, self.side),
+            _ => exact,
+        };
+        FrameRequest { width, height, settings, output, ..own.clone() }
+    }
+}
+
+/// Averages the colours and the coverage of images that are `parts` times as wide and as high: opaque sRGB in linear light, and whether at
+/// least half of the pixel shows the scene.
+pub fn averaged(
+    [width, height]: [u32; 2],
+    parts: u32,
+    color: &[[u8; 4]],
+    coverage: &[[u8; 4]],
+) -> (Vec<[u8; 4]>, Vec<bool>) {
+    let count = f64::from(parts * parts);
+    let pixel = |i: usize| {
+        let (mut sum, mut alpha) = ([0.0; 3], 0.0);
+        for at in places(i, width as usize, parts as usize) {
+            let part = linear(color[at]);
+            (0..3).for_each(|channel| sum[channel] += part[channel]);
+            alpha += f64::from(coverage[at][3]) / 255.0;
+        }
+        let [r, g, b] = sum.map(|channel| srgb8(channel / count));
+        ([r, g, b, 255], alpha >= 0.5 * count)
+    };
+    (0..width as usize * height as usize).into_par_iter().map(pixel).unzip()
+}
+
+/// Places of a pixel's parts in an image that is `parts` times as wide.
+fn places(pixel: usize, columns: usize, parts: usize) -> impl Iterator<Item = usize> {
+    let (x, y) = (pixel % columns * parts, pixel / columns * parts);
+    (0..parts * parts).map(move |part| (y + part / parts) * columns * parts + x + part % parts)
+}
+
 impl Truth {
     /// Averages images that are `parts` times as wide and as high.
     pub fn of_wide(width: u32, height: u32, parts: u32, wide: &Wide) -> Truth {
-        let (columns, n) = (width as usize, parts as usize);
-        let places = |pixel: usize| {
-            let (x, y) = (pixel % columns * n, pixel / columns * n);
-            (0..n * n).map(move |part| (y + part / n) * columns * n + x + part % n)
-        };
-        let count = (n * n) as f64;
-        let pixel = |i: usize| {
-            let mut sum = [0.0; 3];
-            let (mut alpha, mut normal, mut depths) = (0.0, DVec3::ZERO, Vec::new());
-            for at in places(i) {
-                let part = linear(wide.color[at]);
-                (0..3).for_each(|channel| sum[channel] += part[channel]);
-                alpha += f64::from(wide.coverage[at][3]) / 255.0;
+        let (color, covered) = averaged([width, height], parts, &wide.color, &wide.coverage);
+        let pixel = |(i, &is_covered): (usize, &bool)| {
+            let (mut normal, mut depths) = (DVec3::ZERO, Vec::new());
+            for at in places(i, width as usize, parts as usize) {
                 normal += normals_from_rgba8(&[wide.normal[at]])[0];
                 depths.extend(Some(wide.depth[at]).filter(|depth| depth.is_finite()));
             }
-            let [r, g, b] = sum.map(|channel| srgb8(channel / count));
-            let is_covered = alpha >= 0.5 * count;
             depths.sort_unstable_by(f32::total_cmp);
             let median = depths.get(depths.len().saturating_sub(1) / 2).copied();
             let depth = median.filter(|_| is_covered).unwrap_or(f32::INFINITY);
-            let normal = if is_covered { bytes(normal) } else { [0; 4] };
-            ([r, g, b, 255], is_covered, depth, normal)
+            (depth, if is_covered { bytes(normal) } else { [0; 4] })
         };
-        let pixels: Vec<_> = (0..columns * height as usize).into_par_iter().map(pixel).collect();
-        Truth {
-            width,
-            height,
-            color: pixels.iter().map(|pixel| pixel.0).collect(),
-            covered: pixels.iter().map(|pixel| pixel.1).collect(),
-            depth: pixels.iter().map(|pixel| pixel.2).collect(),
-            normal: pixels.iter().map(|pixel| pixel.3).collect(),
-        }
+        let (depth, normal) = covered.par_iter().enumerate().map(pixel).unzip();
+        Truth { width, height, color, covered, depth, normal }
+    }
+
+    /// Colours and coverage.
+    pub fn shot(&self) -> Shot<'_> {
+        Shot { color: &self.color, covered: &self.covered }
     }
 
     /// A frame of the oracle, whose colours are supersampled and whose other outputs are those of the pixels' centres.

@@ -2,11 +2,11 @@
 
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
 use std::time::{Instant, SystemTime};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use glam::DVec3;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::cache::CacheArgs;
@@ -15,15 +15,13 @@ use super::local::{ID, LimitArgs, SceneArgs, SceneFile, progress_bar};
 use super::out::{self, say};
 use super::path::{LINE_EVERY, bake, stop_when_told};
 use crate::accuracy::journal::Journal;
-use crate::accuracy::poses::{around, of_cameras};
 use crate::accuracy::reference::Reference;
 use crate::accuracy::results::Results;
 use crate::accuracy::stability::stability;
-use crate::accuracy::survey::{Event, NamedPose, Survey};
-use crate::accuracy::{report, sweep};
+use crate::accuracy::survey::{Event, Survey, SurveyError};
+use crate::accuracy::{date, report, sweep};
 use crate::assets::ReadOptions;
-use crate::engine::{Engine, Pose, SceneInfo};
-use crate::math::{Camera, Lens};
+use crate::engine::{Client, Pose};
 use crate::plan::Extent;
 use crate::scene::SceneLimits;
 
@@ -115,8 +113,11 @@ fn survey(args: &AccuracyArgs, scene: &Path) -> Result<()> {
         false => None,
     };
     let (width, height) = args.size.unwrap_or(if args.quick { (240, 135) } else { (640, 360) });
+    // Signals end the program until there are measurements to report.
+    let never = AtomicBool::new(false);
     let mut survey = Survey {
         engine: &engine,
+        client: Client::Unnamed,
         scene: ID,
         poses: Vec::new(),
         rows: sweep::rows(if args.quick { Extent::Few } else { Extent::All }),
@@ -124,9 +125,16 @@ fn survey(args: &AccuracyArgs, scene: &Path) -> Result<()> {
         repeats: args.repeats.unwrap_or(if args.quick { 3 } else { 5 }),
         seed: args.seed,
         oracle: oracle.as_ref(),
-        folder,
+        folder: Some(folder),
+        stop: &never,
     };
-    survey.poses = poses(args, &survey, &engine, &info)?;
+    if info.cameras.is_empty() && args.camera.is_empty() {
+        bake(&engine, &survey.request_at(Pose::FIT))?;
+    }
+    survey.find_poses(&info, &args.camera, args.quick).map_err(|error| match error {
+        SurveyError::UnknownCamera(error) => anyhow::anyhow!("--camera: {error}"),
+        error => error.into(),
+    })?;
     let all = survey.poses.len();
     let blank = survey.leave_out_blank()?;
     if blank.len() == all {
@@ -146,8 +154,9 @@ fn survey(args: &AccuracyArgs, scene: &Path) -> Result<()> {
         bake(&engine, &request)?;
     }
     let stop = stop_when_told()?;
+    let survey = Survey { stop: &stop, ..survey };
     let mut telling = Telling::new();
-    let is_complete = survey.run(&mut journal, &stop, |event| telling.hear(&event));
+    let is_complete = survey.run(&mut journal, |event| telling.hear(&event));
     telling.bar.finish_and_clear();
     let is_complete = is_complete?;
     if is_complete && telling.steps == 0 {
@@ -177,33 +186,6 @@ fn oracle(args: &AccuracyArgs, scene: &Path) -> Result<Reference> {
     let root = args.root.as_deref().unwrap_or(folder);
     Reference::load(&path, root, &ReadOptions::default(), &SceneLimits::default())
         .with_context(|| format!("the oracle cannot load {}", scene.display()))
-}
-
-/// Cameras of the scene, or views around it.
-fn poses(
-    args: &AccuracyArgs,
-    survey: &Survey<'_>,
-    engine: &Engine,
-    info: &SceneInfo,
-) -> Result<Vec<NamedPose>> {
-    let mut poses = if info.cameras.is_empty() && args.camera.is_empty() {
-        let request = survey.request_at(Pose::FIT);
-        bake(engine, &request)?;
-        let seen = engine.submit(request)?.wait()?.receipt.camera.clone();
-        let lens = match (seen.ortho_height, seen.fov_deg) {
-            (Some(height), _) => Lens::Orthographic { height },
-            (None, fov_deg) => Lens::Perspective { fov_deg: fov_deg.unwrap_or(40.0) },
-        };
-        let [eye, target, up] = [seen.eye, seen.target, seen.up].map(DVec3::from);
-        around(&Camera { eye, target, up, lens })
-    } else {
-        of_cameras(&info.cameras, &args.camera)
-            .map_err(|error| anyhow::anyhow!("--camera: {error}"))?
-    };
-    if args.quick && args.camera.is_empty() {
-        poses.truncate(1);
-    }
-    Ok(poses)
 }
 
 /// Shows the progress of a survey: a bar on a terminal, a line every few seconds elsewhere.
@@ -251,23 +233,6 @@ impl Telling {
     }
 }
 
-/// The UTC date and time, as in 2026-01-31 23:59.
-fn date(now: SystemTime) -> String {
-    let seconds = now.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_secs();
-    let (days, rest) = (seconds / 86_400, seconds % 86_400);
-    // Hinnant's algorithm for the civil calendar, with years that begin in March.
-    let shifted = days + 719_468;
-    let (era, day_of_era) = (shifted / 146_097, shifted % 146_097);
-    let year_of_era =
-        (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let month = (5 * day_of_year + 2) / 153;
-    let day = day_of_year - (153 * month + 2) / 5 + 1;
-    let (month, carry) = if month < 10 { (month + 3, 0) } else { (month - 9, 1) };
-    let year = era * 400 + year_of_era + carry;
-    format!("{year}-{month:02}-{day:02} {:02}:{:02}", rest / 3600, rest / 60 % 60)
-}
-
 /// Compares the shaders of splats with f64 on hard cases.
 fn check_stability(args: &AccuracyArgs) -> Result<()> {
     let report = stability(args.seed, args.count)?;
@@ -295,8 +260,6 @@ fn check_stability(args: &AccuracyArgs) -> Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
-
     use clap::Parser;
 
     use super::*;
@@ -347,13 +310,5 @@ mod tests {
         assert!(parse(&["s.json", "--repeats", "0"]).is_err());
         let error = run(&parse(&["s.json"]).unwrap()).unwrap_err();
         assert!(error.to_string().contains("-o FOLDER"), "{error}");
-    }
-
-    #[test]
-    fn dates_are_those_of_the_calendar() {
-        let at = |seconds| date(SystemTime::UNIX_EPOCH + Duration::from_secs(seconds));
-        assert_eq!(at(0), "1970-01-01 00:00");
-        assert_eq!(at(951_782_400), "2000-02-29 00:00");
-        assert_eq!(at(1_767_225_599), "2025-12-31 23:59");
     }
 }

@@ -111,7 +111,9 @@ pub fn needed(method: &Method, route: &str) -> Option<Scope> {
     match route {
         "/" | "/viewer/{file}" | "/healthz" | "/readyz" | "/openapi.yaml" | "/v1/settings" => None,
         // Renders, and changes nothing.
-        "/v1/scenes/{id}/frames" | "/v1/scenes/{id}/pick" => Some(Scope::Read),
+        "/v1/scenes/{id}/frames" | "/v1/scenes/{id}/pick" | "/v1/scenes/{id}/compare" => {
+            Some(Scope::Read)
+        }
         _ if method == Method::GET || method == Method::HEAD => Some(Scope::Read),
         _ => Some(Scope::Write),
     }

@@ -26,7 +26,7 @@ pub const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
 /// Time for which a bake goes on after the deadline of the request that needed it.
 const BAKE_AFTER_DEADLINE: Duration = Duration::from_secs(60);
 /// `Retry-After` of a request whose deadline passed during a bake.
-const RETRY_LATE: Duration = Duration::from_secs(1);
+pub(super) const RETRY_LATE: Duration = Duration::from_secs(1);
 const REVALIDATE: HeaderValue = HeaderValue::from_static("no-cache");
 
 /// A frame.

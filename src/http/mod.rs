@@ -6,11 +6,13 @@
 //!                                              frame   params → engine.etag → 304
 //!                                                                  └→ engine.submit → image + receipt
 //!                                              frames  one frame for each pose, as multipart/mixed
+//!                                              compare two settings at one pose, and how their frames differ
 //!                                              pick    what pixels show: positions, instances
 //!                                              stream  WebSocket: poses in, the newest one's frame out
 //!                                              mjpeg   a path's frames in real time, as an <img> shows them
 //!                                              upload  body → disk → engine.load → 201, or 202
 //!                                              jobs    films, drawn in the background; files and events
+//!                                              accuracy  what accuracy costs in time, measured in the background
 //! ```
 //!
 //! Clients share the device. A client is known by its key, or by its address where there are no keys ([`Caller`]).
@@ -22,7 +24,9 @@
 //! job's place in the queue.
 
 pub mod access;
+mod accuracy;
 mod body;
+mod compare;
 mod conditional;
 mod connection;
 mod frame;
@@ -77,6 +81,7 @@ pub use problem::Problem;
 pub use stream::StreamLimits;
 pub use upload::quota::UploadLimits;
 
+use crate::accuracy::service::Surveys;
 use crate::engine::{Client, Engine};
 use crate::jobs::Jobs;
 
@@ -121,6 +126,9 @@ pub struct App {
     pub(crate) watchers: headcount::Headcount,
     /// The jobs, or the reason why there are none.
     pub(crate) jobs: Result<Jobs, String>,
+    pub(crate) surveys: Surveys,
+    /// The turn of the comparison whose figures are computed.
+    pub(crate) comparing: tokio::sync::Semaphore,
     /// Key of the hash that numbers callers, so that no caller can choose a number that is another's.
     callers: RandomState,
     /// Origins whose pages may read `Server-Timing`.
@@ -143,7 +151,10 @@ pub enum Phase {
 
 impl App {
     pub fn new(engine: Engine, settings: Settings, jobs: Result<Jobs, String>) -> Arc<App> {
+        let folder = jobs.as_ref().ok().map(|jobs| jobs.folder().join("accuracy"));
         Arc::new(App {
+            surveys: Surveys::open(engine.clone(), folder),
+            comparing: tokio::sync::Semaphore::new(1),
             metrics: metrics::Metrics::new(&engine, jobs.as_ref().ok()),
             jobs,
             registry: registry::Registry::default(),
@@ -190,6 +201,7 @@ impl App {
         self.phase.fetch_max(phase as u8, Ordering::Relaxed);
         if phase == Phase::Draining {
             self.streams.drain();
+            self.surveys.close();
             if let Ok(jobs) = &self.jobs {
                 jobs.pause();
             }
@@ -211,7 +223,7 @@ pub(crate) struct Owner {
 }
 
 /// Every route, as the counters and the access rules name them.
-const ROUTES: [&str; 29] = [
+const ROUTES: [&str; 32] = [
     "/",
     "/viewer/{file}",
     "/healthz",
@@ -227,6 +239,9 @@ const ROUTES: [&str; 29] = [
     "/v1/scenes/{id}/nodes/{node}",
     "/v1/scenes/{id}/frame",
     "/v1/scenes/{id}/frames",
+    "/v1/scenes/{id}/compare",
+    "/v1/scenes/{id}/accuracy",
+    "/v1/scenes/{id}/accuracy/cancel",
     "/v1/scenes/{id}/pick",
     "/v1/scenes/{id}/mjpeg",
     "/v1/scenes/{id}/paths/{name}",
@@ -268,6 +283,12 @@ pub fn router(app: Arc<App>) -> Router {
         .route("/v1/scenes/{id}/nodes/{node}", patch(scenes::patch_node))
         .route("/v1/scenes/{id}/frame", get(frame::frame))
         .route("/v1/scenes/{id}/frames", post(frames::frames))
+        .route("/v1/scenes/{id}/compare", post(compare::compare))
+        .route(
+            "/v1/scenes/{id}/accuracy",
+            get(accuracy::show).post(accuracy::begin).delete(accuracy::remove),
+        )
+        .route("/v1/scenes/{id}/accuracy/cancel", post(accuracy::cancel))
         .route("/v1/scenes/{id}/pick", get(pick::pick).post(pick::pick_many))
         .route("/v1/scenes/{id}/mjpeg", get(mjpeg::mjpeg))
         .route("/v1/scenes/{id}/paths/{name}", get(paths::show))

@@ -85,7 +85,7 @@ kinds! {
     FrameNotDrawn        404 "frame-not-drawn"         "the frame is not drawn yet";
     NoVideo              404 "no-video"                "there is no video";
     JobState             409 "job-state"               "the job's state does not allow it";
-    SceneChanged         409 "scene-changed"           "the scene changed while a job drew it";
+    SceneChanged         409 "scene-changed"           "the scene changed while it was drawn";
     JobRecovered         409 "job-recovered"           "the job's record was lost; the job was recovered";
     RangeNotSatisfiable  416 "range-not-satisfiable"   "the range is beyond the end of the file";
     JobRefused           422 "job-refused"             "the job does not fit its scene";
@@ -93,6 +93,9 @@ kinds! {
     TooManyJobs          429 "too-many-jobs"           "too many jobs";
     JobFailed            500 "job-failed"              "the job could not be drawn";
     VideoFailed          500 "video-failed"            "the video could not be made";
+    NotMeasured          404 "not-measured"            "the accuracy was not measured yet";
+    Measuring            409 "measuring"               "another measurement is running";
+    MeasurementFailed    500 "measurement-failed"      "the accuracy could not be measured";
     JobsOff              503 "jobs-off"                "this server accepts no jobs";
     UploadsOff           503 "uploads-off"             "this server accepts no uploads";
     OutOfJobDisk         507 "job-quota"               "job storage is full";

@@ -97,6 +97,7 @@ pub async fn remove(
         return Ok(StatusCode::NO_CONTENT);
     }
     app.uploads.forget(&id);
+    app.surveys.forget(&id);
     let worker = app.clone();
     let name = id.clone();
     tokio::task::spawn_blocking(move || {

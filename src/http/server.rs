@@ -120,12 +120,13 @@ async fn drain<T>(
     let drained = async {
         let _ = server.await;
         app.streams.closed().await;
-        let (engine, jobs) = (app.engine.clone(), app.jobs.clone());
+        let (engine, jobs, surveys) = (app.engine.clone(), app.jobs.clone(), app.surveys.clone());
         let _ = tokio::task::spawn_blocking(move || {
             // Stop jobs before the engine, because they record their progress.
             if let Ok(jobs) = &jobs {
                 jobs.wait();
             }
+            surveys.wait();
             engine.drain();
         })
         .await;

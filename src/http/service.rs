@@ -133,6 +133,9 @@ pub struct ServerLimits {
     max_upload_bytes: u64,
     uploads: UploadLimits,
     max_connections: usize,
+    /// Largest width times height of the frames of a comparison, and of a measurement of accuracy.
+    max_compare_pixels: u64,
+    max_accuracy_pixels: u64,
     /// Longest wait for a frame, in milliseconds.
     frame_timeout_ms: u64,
     /// Maximum number of open streams, in total and per client.
@@ -210,6 +213,8 @@ pub async fn limits(State(app): State<Arc<App>>, _: NoQuery) -> Json<ServerLimit
             }
         },
         max_connections: settings.max_connections,
+        max_compare_pixels: super::compare::MOST_PIXELS,
+        max_accuracy_pixels: crate::accuracy::service::MOST_PIXELS,
         frame_timeout_ms: ms(settings.frame_timeout),
         max_streams: settings.streams.most,
         max_streams_per_client: settings.streams.most_per_client,

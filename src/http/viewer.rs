@@ -57,14 +57,17 @@ fn files() -> impl Iterator<Item = &'static File> {
 }
 
 /// The page comes first.
-static FILES: [File; 27] = files![
+static FILES: [File; 31] = files![
     "index.html",
     "style.css",
+    "curve.css",
+    "accuracy.js",
     "address.js",
     "api.js",
     "app.js",
     "chart.js",
     "controls.js",
+    "curve.js",
     "files.js",
     "film.js",
     "jobs.js",
@@ -84,6 +87,7 @@ static FILES: [File; 27] = files![
     "settings.js",
     "store.js",
     "upload.js",
+    "wipe.js",
     "zip.js",
 ];
 
@@ -174,7 +178,8 @@ fn answer(file: &File, headers: &HeaderMap) -> Result<Response, Problem> {
     Ok((validators, facts, text.into_owned()).into_response())
 }
 
-fn entity_tag(text: &str) -> String {
+/// Returns a strong entity tag (quoted) of a text.
+pub(super) fn entity_tag(text: &str) -> String {
     let digest: [u8; 32] = Sha256::digest(text.as_bytes()).into();
     let mut tag = String::from("\"");
     for byte in &digest[..12] {

@@ -4,6 +4,7 @@
 //   settings ────────────────────▶ │      │
 //   scenes, upload ─scene──────────┘      └──frames──▶ canvas, receipt, chart
 
+import { Accuracy } from './accuracy.js';
 import * as address from './address.js';
 import * as api from './api.js';
 import * as chart from './chart.js';
@@ -84,6 +85,7 @@ function setPose(next, moving) {
   turning++;
   if (document.activeElement !== $('fov')) showFov();
   showCamera();
+  accuracy.moved();
   overlay.lost(outOfSight());
   drawMeasures();
   changed(moving);
@@ -121,6 +123,7 @@ function drawn(info, isNewest) {
   canvas.dataset.revision = info.revision ?? '';
   quiet('link');
   if (!isStill || !isNewest) return;
+  if (info.receipt) accuracy.frame(info.receipt);
   // A frame ends the problem of an earlier one.
   quiet('frame');
   remember();
@@ -204,6 +207,7 @@ async function refreshScene() {
     scene = info;
     scenes.facts(scene);
     settings.ofScene(scene);
+    accuracy.edited();
     await list();
   } catch { /* the link says what is wrong */ }
 }
@@ -323,6 +327,7 @@ function choose(id, given = {}) {
   measure.clear();
   films.show();
   recorder.ofScene(scene);
+  accuracy.ofScene();
   canvas.setAttribute('aria-label', 'Rendered scene ' + scenes.fullName(scene));
   const free = option(FREE, 'free view');
   free.hidden = true;
@@ -421,6 +426,7 @@ const recorder = new Recorder({
   scene: () => scene, pose: () => pose, show: setPose, settings: settings.parameters,
 });
 const jobs = new Jobs();
+const accuracy = new Accuracy({ scene: () => scene, request: parameters, limits: () => limits });
 const films = new Films({ scene: () => scene, recorder, settings: settings.parameters, jobs });
 const controls = new Controls(canvas, {
   pose: () => pose,
@@ -437,7 +443,7 @@ const controls = new Controls(canvas, {
 });
 
 $('measure').addEventListener('click', toggleMeasuring);
-settings.onChange(() => { isFlatByCamera &&= isFlat(); drawMeasures(); changed(false); recorder.show(); });
+settings.onChange(() => { accuracy.moved(); isFlatByCamera &&= isFlat(); drawMeasures(); changed(false); recorder.show(); });
 upload.watch({
   added: async id => { await list(); choose(id); canvas.focus({ preventScroll: true }); },
   path: (text, name) => recorder.load(text, name),
@@ -494,7 +500,7 @@ loadScenes();
 
 // For the console and for tests.
 globalThis.viewer = {
-  canvas, paper, link, recorder, controls, sampler,
+  canvas, paper, link, recorder, controls, sampler, accuracy,
   get scene() { return scene; }, get pose() { return pose; },
   get isStill() { return canvas.dataset.state === 'still' && !link.isDue; },
 };

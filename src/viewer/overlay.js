@@ -59,6 +59,8 @@ function setSheet(isOpen) {
   document.body.classList.toggle('sheet-open', isOpen);
 }
 
+export const closeSheet = () => setSheet(false);
+
 $('sheet').addEventListener('click', () => setSheet($('sheet').getAttribute('aria-expanded') !== 'true'));
 addEventListener('keydown', event => { if (event.key === 'Escape') setSheet(false); });
 // Touching the picture closes the sheet.

@@ -113,6 +113,29 @@ export function ofScene(info) {
   showSettings();
 }
 
+// Settings that trade accuracy for time: name, default (null: the scene's), and whether the control is left at it.
+export const trading = () => declared.filter(setting => setting.trades)
+  .map(({ name, default: usual }) => ({ name, usual: usual ?? null, isUsual: isDefault(name) }));
+
+// Sets those settings that trade accuracy for time, as a hand would. Those that `values` lacks take their defaults.
+export function trade(values) {
+  for (const { name } of trading()) {
+    const control = $(name), wanted = name in values ? String(values[name]) : '';
+    if (isWritten(name)) control.value = wanted;
+    else control.selectedIndex = Math.max(0, [...control.options].findIndex(o => o.value === wanted));
+    fault(control, null);
+  }
+  showSettings();
+  told();
+}
+
+// Splits the parameters of a frame into its settings and the others: pose, size and encoding.
+export function parted({ output: _, ...params }) {
+  const names = new Set(declared.map(setting => setting.name)), own = {}, others = {};
+  for (const [name, value] of Object.entries(params)) (names.has(name) ? own : others)[name] = value;
+  return { own, others };
+}
+
 // Settings that differ from their defaults, by name.
 export function chosen() {
   const names = applying();
@@ -168,7 +191,10 @@ export function set(name, value) {
   showSettings();
 }
 
+let told = () => {};
+
 export function onChange(changed) {
+  told = changed;
   for (const name of NAMES) {
     $(name).addEventListener('change', () => {
       if (isWritten(name)) {

@@ -9,6 +9,7 @@
     reason = "helpers of tests: a panic is how a test fails"
 )]
 
+mod accuracy;
 mod connection;
 mod daemon;
 mod docs;

@@ -69,6 +69,7 @@ fn schemas_and_daemon_agree_on_bodies() {
     let keys = json!({ "keys": [{ "t": 0, "eye": [0, 0, 3], "target": [0, 0, 0] }] });
     let (jobs, frames, node) = ("/v1/jobs", "/v1/scenes/grid/frames", "/v1/scenes/grid/nodes/wall");
     let pick = "/v1/scenes/grid/pick";
+    let (compare, accuracy) = ("/v1/scenes/grid/compare", "/v1/scenes/grid/accuracy");
     for (method, path, body, is_fine) in [
         (
             "POST",
@@ -95,6 +96,19 @@ fn schemas_and_daemon_agree_on_bodies() {
         ("POST", jobs, json!({ "scene": "grid", "path": "past", "speed": 2 }), false),
         ("POST", jobs, json!({ "scene": "grid", "path": "past", "want": [] }), false),
         ("POST", jobs, json!({ "scene": "grid", "path": "past", "w": 0 }), false),
+        ("POST", compare, json!({ "w": 8, "h": 8, "a": { "lod": "full" }, "b": {} }), true),
+        ("POST", compare, json!({ "w": 8, "h": 8, "a": {}, "against": "reference" }), true),
+        ("POST", compare, json!({ "w": 8, "h": 8, "b": {} }), false),
+        ("POST", compare, json!({ "w": 8, "h": 8, "a": { "w": 8 }, "b": {} }), false),
+        ("POST", compare, json!({ "w": 8, "h": 8, "a": { "lod": "half" }, "b": {} }), false),
+        ("POST", compare, json!({ "w": 8, "h": 8, "a": {}, "b": {}, "format": "raw" }), false),
+        ("POST", compare, json!({ "w": 8, "h": 8, "a": {}, "b": {}, "output": "id" }), false),
+        ("POST", compare, json!({ "w": 8, "h": 8, "a": {}, "against": "oracle" }), false),
+        ("POST", accuracy, json!({ "w": 0 }), false),
+        ("POST", accuracy, json!({ "repeats": 101 }), false),
+        ("POST", accuracy, json!({ "cameras": [] }), false),
+        ("POST", accuracy, json!({ "seed": 1 }), false),
+        ("POST", accuracy, json!({ "w": 8, "h": 8.0, "repeats": 1, "cameras": ["front"] }), true),
         ("POST", pick, json!({ "w": 8, "h": 8, "x": 1, "y": 2.0 }), true),
         ("POST", pick, json!({ "w": 8, "h": 8, "pixels": [[1, 2]], "lod": "full" }), true),
         ("POST", pick, json!({ "w": 8, "h": 8, "pixels": [[1, 2, 3]] }), false),
@@ -249,6 +263,9 @@ fn answers_are_documented() {
     let frame = "/v1/scenes/{id}/frame";
     let frames = "/v1/scenes/{id}/frames";
     let pick = "/v1/scenes/{id}/pick";
+    let compare = "/v1/scenes/{id}/compare";
+    let accuracy = "/v1/scenes/{id}/accuracy";
+    let cancel = "/v1/scenes/{id}/accuracy/cancel";
     let stream = "/v1/scenes/{id}/stream";
     let mjpeg = "/v1/scenes/{id}/mjpeg";
     let path = "/v1/scenes/{id}/paths/{name}";
@@ -293,6 +310,19 @@ fn answers_are_documented() {
         ("POST", pick, "/v1/scenes/grid/pick", json, "{\"pixels\":[[1,2],[3,4]],\"w\":8,\"h\":8}"),
         ("POST", pick, "/v1/scenes/grid/pick", "text/plain", "{}"),
         ("POST", pick, "/v1/scenes/grid/pick", json, "{}"),
+        ("POST", compare, "/v1/scenes/grid/compare", json, "{\"a\":{},\"b\":{},\"w\":8,\"h\":8}"),
+        ("POST", compare, "/v1/scenes/grid/compare", "text/plain", "{}"),
+        ("POST", compare, "/v1/scenes/grid/compare", json, "{\"a\":{}}"),
+        ("POST", compare, "/v1/scenes/none/compare", json, "{\"a\":{},\"b\":{}}"),
+        ("GET", accuracy, "/v1/scenes/grid/accuracy", "", ""),
+        ("POST", accuracy, "/v1/scenes/grid/accuracy", json, "{\"w\":0}"),
+        ("POST", accuracy, "/v1/scenes/grid/accuracy", json, "{\"w\":8,\"h\":8}"),
+        ("POST", accuracy, "/v1/scenes/grid/accuracy", json, "{}"),
+        ("GET", accuracy, "/v1/scenes/grid/accuracy", "", ""),
+        ("POST", cancel, "/v1/scenes/grid/accuracy/cancel", "", ""),
+        ("POST", cancel, "/v1/scenes/none/accuracy/cancel", "", ""),
+        ("DELETE", accuracy, "/v1/scenes/grid/accuracy", "", ""),
+        ("DELETE", accuracy, "/v1/scenes/grid/accuracy", "", ""),
         ("POST", "/v1/scenes", "/v1/scenes?id=a&name=a.ply", "application/octet-stream", &ply),
         ("POST", "/v1/scenes", "/v1/scenes?id=a&name=a.ply", "application/octet-stream", &ply),
         ("POST", "/v1/scenes", "/v1/scenes?name=b.ply", "application/octet-stream", "ply"),

@@ -229,6 +229,16 @@ fn keys_open_what_their_scope_says() {
     assert_eq!(status("GET", frame, "wrong"), 401);
     assert_eq!(status("GET", frame, "reader"), 200);
     assert_eq!(status("DELETE", "/v1/scenes/grid", "reader"), 403);
+    // Measuring changes what others see, and takes their time; comparing is drawing. Requests without a body are refused later.
+    let accuracy = "/v1/scenes/grid/accuracy";
+    assert_eq!(status("GET", accuracy, ""), 401);
+    assert_eq!(status("GET", accuracy, "reader"), 404);
+    assert_eq!(status("POST", accuracy, "reader"), 403);
+    assert_eq!(status("POST", &format!("{accuracy}/cancel"), "reader"), 403);
+    assert_eq!(status("DELETE", accuracy, "reader"), 403);
+    assert_eq!(status("POST", accuracy, "writer"), 415);
+    assert_eq!(status("POST", "/v1/scenes/grid/compare", ""), 401);
+    assert_eq!(status("POST", "/v1/scenes/grid/compare", "reader"), 415);
     assert_eq!(status("GET", "/metrics", ""), 401);
     assert_eq!(status("GET", "/healthz", ""), 200);
     assert_eq!(status("GET", "/readyz", ""), 200);

@@ -230,6 +230,8 @@ fn addresses_follow_the_contract() {
             let is_posted = target.ends_with("/v1/jobs")
                 || target.ends_with("/frames")
                 || target.ends_with("/pick")
+                || target.ends_with("/compare")
+                || target.ends_with("/cancel")
                 || target.ends_with("/retry")
                 || target.starts_with("/v1/scenes?");
             let method = if is_posted { "POST" } else { "GET" };

@@ -6,9 +6,11 @@
     reason = "a test that unwraps says where it failed"
 )]
 
+mod accuracy;
 mod admission;
 mod balancer;
 mod client;
+mod compare;
 mod contract;
 mod daemon;
 mod errors;

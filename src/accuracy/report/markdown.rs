@@ -79,9 +79,10 @@ fn table(out: &mut String, scope: &Scope, entries: &[&Entry]) {
         let psnr = entry.psnr_db.map_or("equal".to_owned(), |psnr| format!("{psnr:.2}"));
         let _ = writeln!(
             out,
-            "| {} | {} | {time} | {psnr} | {:.4} | {:.4} | {} | {} | {} | {:.4} | {depth} | {normal} |",
+            "| {} | {}{} | {time} | {psnr} | {:.4} | {:.4} | {} | {} | {} | {:.4} | {depth} | {normal} |",
             if entry.is_on(scope, "psnr") { "●" } else { "" },
             cell(&entry.row),
+            if scope.default.as_ref() == Some(&entry.row) { " (default)" } else { "" },
             metrics.ssim,
             metrics.flip,
             metrics.max_error,

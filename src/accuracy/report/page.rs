@@ -139,6 +139,8 @@ pub fn page(results: &Results, images: &Images) -> Result<String, ReportError> {
         &[
             ("style", include_str!("page.css")),
             ("script", include_str!("page.js")),
+            ("curve_style", include_str!("../../viewer/curve.css")),
+            ("curve", include_str!("../../viewer/curve.js")),
             ("scene", &escaped(&identity.scene)),
             ("summary", &escaped(&results.summary)),
             ("adapter", &escaped(&identity.adapter)),

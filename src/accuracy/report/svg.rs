@@ -35,6 +35,7 @@ const STYLE: &str = "\
   .grid { stroke: var(--grid); stroke-width: 1; }
   .frame { stroke: var(--soft); stroke-width: 1; fill: none; }
   .front { fill: none; stroke: var(--ink); stroke-width: 1.5; stroke-dasharray: 6 3; }
+  .usual { fill: none; stroke: var(--ink); stroke-width: 1.2; stroke-dasharray: 2 2; }
   .bar { stroke-width: 1.2; opacity: 0.55; }
   .dot { fill: var(--paper); fill-opacity: 0.6; stroke-width: 1.6; }
   .best { fill-opacity: 1; }
@@ -169,9 +170,15 @@ fn plot(out: &mut String, scope: &Scope) {
         } else {
             format!("dot c{}", number % 6)
         };
+        let is_default = scope.default.as_ref() == Some(&entry.row);
+        if is_default {
+            let (x, y) = place(entry);
+            let _ = writeln!(out, "<circle class=\"usual\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"8\"/>");
+        }
         let title = format!(
-            "{}: {} ms, {:.2} dB{}",
+            "{}{}: {} ms, {:.2} dB{}",
             entry.row,
+            if is_default { " (default)" } else { "" },
             three_digits(time(entry)),
             entry.decibels(),
             if is_best { ", on the Pareto front" } else { "" }
@@ -278,8 +285,11 @@ fn legend(out: &mut String, families: &[&str]) {
     }
     let _ = writeln!(
         out,
-        "<path class=\"front\" d=\"M{at:.1} 93.5h26\"/><text x=\"{:.1}\" y=\"98\">Pareto front (filled)</text>",
-        at + 32.0
+        "<path class=\"front\" d=\"M{at:.1} 93.5h26\"/><text x=\"{:.1}\" y=\"98\">Pareto front (filled)</text>\
+         <circle class=\"usual\" cx=\"{:.1}\" cy=\"93.5\" r=\"7\"/><text x=\"{:.1}\" y=\"98\">default</text>",
+        at + 32.0,
+        at + 178.0,
+        at + 190.0
     );
 }
 

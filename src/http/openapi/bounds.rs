@@ -3,15 +3,16 @@
 use serde_json::{Value, json};
 
 use super::tidy::{each_object, remove_property};
+use crate::accuracy::service::{MOST_CAMERAS, MOST_REPEATS};
 use crate::encode::{self, ImageFormat};
 use crate::engine::pick::MOST_PIXELS;
 use crate::film::shots::{FPS_RANGE, MOST_FRAMES};
 use crate::film::video::KBPS_RANGE;
 use crate::http::jobs::create as job;
 use crate::http::names::{FILE_NAME_PATTERN, ID_PATTERN, MAX_FILE_NAME_BYTES};
-use crate::http::{frames, mjpeg, params, pick, stream, upload};
+use crate::http::{compare, frames, mjpeg, params, pick, stream, upload};
 use crate::math::{FARTHEST, FOV_RANGE_DEG, ORTHO_HEIGHT_RANGE};
-use crate::plan::{self, Output, SettingKind};
+use crate::plan::{self, Given, Output, SettingKind};
 use crate::residency::layout::MOST_ROWS;
 use crate::scene::{LARGEST_COORDINATE, LARGEST_SCALE};
 
@@ -206,6 +207,17 @@ pub fn of_bodies(schemas: &mut Value) {
     for (name, _) in stream::WITHOUT {
         remove_property(&mut schemas["StreamPose"], name);
     }
+    of_comparisons(schemas);
+    let accuracy = &mut schemas["AccuracyRequest"]["properties"];
+    for side in ["w", "h"] {
+        narrow(&mut accuracy[side], json!({ "minimum": 1, "maximum": MOST_ROWS }));
+    }
+    narrow(&mut accuracy["repeats"], json!({ "minimum": 1, "maximum": MOST_REPEATS }));
+    let name = json!({ "minLength": 1, "maxLength": params::MAX_NAME_CHARS });
+    narrow(
+        &mut accuracy["cameras"],
+        json!({ "minItems": 1, "maxItems": MOST_CAMERAS, "items": name }),
+    );
     let state = "The path's name in the scene, or the path itself. A list shows only the number of `keys` of such a path.";
     schemas["JobState"]["properties"]["path"] = json!({ "description": state, "oneOf": [
         { "type": "string" }, { "type": "object" } ] });
@@ -223,6 +235,28 @@ pub fn of_bodies(schemas: &mut Value) {
     narrow(&mut properties["to"], json!({ "minimum": 0, "maximum": MOST_FRAMES }));
     narrow(&mut properties["want"], json!({ "minItems": 1, "maxItems": job::MAX_WANTED }));
     narrow(&mut properties["bitrate_kbps"], json!({ "minimum": least_kbps, "maximum": most_kbps }));
+}
+
+/// Adds the bounds of comparisons: each side has settings alone.
+fn of_comparisons(schemas: &mut Value) {
+    for (name, _) in compare::NAMES.without {
+        remove_property(&mut schemas["CompareRequest"], name);
+    }
+    let known = schemas["FrameParams"]["properties"].clone();
+    let settings: serde_json::Map<String, Value> =
+        Given::NAMES.iter().map(|name| ((*name).to_owned(), known[name].clone())).collect();
+    let mut formats: Vec<Value> = compare::FORMATS.iter().map(|format| json!(format)).collect();
+    formats.push(json!(JPG));
+    let properties = &mut schemas["CompareRequest"]["properties"];
+    let format = json!([{ "type": "string", "enum": formats }, { "type": "null" }]);
+    narrow(&mut properties["format"], json!({ "oneOf": format }));
+    let side = |description: &Value, kinds: Value| {
+        json!({
+            "type": kinds, "description": description, "properties": settings, "additionalProperties": false,
+        })
+    };
+    properties["a"] = side(&properties["a"]["description"], json!("object"));
+    properties["b"] = side(&properties["b"]["description"], json!(["object", "null"]));
 }
 
 /// Schema of a job's path: a name, or the path itself.

@@ -20,7 +20,10 @@ use utoipa::{Modify, OpenApi};
 
 use super::access;
 use super::problem::{Kind, PROBLEM_JSON, ProblemDocument};
-use super::{frame, frames, jobs, mjpeg, paths, pick, scenes, service, stream, upload, viewer};
+use super::{
+    accuracy, compare, frame, frames, jobs, mjpeg, paths, pick, scenes, service, stream, upload,
+    viewer,
+};
 use crate::engine::Receipt;
 
 #[derive(OpenApi)]
@@ -43,6 +46,7 @@ use crate::engine::Receipt;
     paths(
         frame::frame,
         frames::frames,
+        compare::compare,
         pick::pick,
         pick::pick_many,
         stream::stream,
@@ -53,6 +57,10 @@ use crate::engine::Receipt;
         scenes::show,
         scenes::remove,
         scenes::patch_node,
+        accuracy::show,
+        accuracy::begin,
+        accuracy::cancel,
+        accuracy::remove,
         paths::show,
         jobs::list,
         jobs::create::create,

@@ -33,6 +33,17 @@ pub fn of_operation(path: &str, method: &str) -> Vec<Kind> {
             &[&[UnknownScene, SceneLoading, NotAcceptable], SETTINGS, LOADED, QUEUED]
         }
         ("/v1/scenes/{id}/frames", _) => &[&[UnknownScene, SceneLoading], BODY, SETTINGS, LOADED],
+        ("/v1/scenes/{id}/compare", _) => {
+            &[&[UnknownScene, SceneLoading, SceneChanged], BODY, SETTINGS, LOADED, QUEUED]
+        }
+        ("/v1/scenes/{id}/accuracy", "post") => &[
+            &[UnknownScene, SceneLoading, Measuring, BadParameter, UnknownParameter],
+            &[OverLimit, SceneRefused, SceneTooLarge, OutOfMemory, ShuttingDown],
+            BODY,
+        ],
+        ("/v1/scenes/{id}/accuracy" | "/v1/scenes/{id}/accuracy/cancel", _) => {
+            &[&[UnknownScene, SceneLoading, NotMeasured], LOADED]
+        }
         ("/v1/scenes/{id}/pick", "get") => {
             &[&[UnknownScene, SceneLoading], SETTINGS, LOADED, QUEUED]
         }

@@ -23,9 +23,14 @@ pub struct Setting {
     /// Where one of these does not hold, the setting has no effect worth a control, or the rule's value cannot be drawn. `output`, `samples`,
     /// `segments`, `lights` and `fields` are facts of the frame and its scene; `fields` are the names of its scalar fields.
     pub useful_with: Vec<Rule>,
-    /// How the setting trades accuracy for time; `None` where it does not.
-    #[serde(skip)]
+    /// Whether the setting trades accuracy for time, so that comparisons vary it.
+    #[serde(serialize_with = "is_there")]
+    #[schema(value_type = bool)]
     pub trades: Option<Trade>,
+}
+
+fn is_there<S: serde::Serializer>(trade: &Option<Trade>, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_bool(trade.is_some())
 }
 
 /// Values that a setting takes.

@@ -1,6 +1,22 @@
 //! Settings of reference frames, which have several pixels for each pixel of another frame.
 
-use super::{Antialias, Background, Reconstruct, Settings};
+use serde_json::Value;
+
+use super::{Antialias, Background, Given, Reconstruct, Settings, declared};
+
+impl Given {
+    /// Settings of a reference for frames with these: [`Settings::exact`] in all that trades accuracy for time, and these in the rest.
+    pub fn exact(&self) -> Settings {
+        let mut given = *self;
+        for setting in declared().iter().filter(|setting| setting.trades.is_some()) {
+            // Nothing is wrong with `null`.
+            let _ = given.set(setting.name, Value::Null);
+        }
+        let settings = Settings::from(given).decided(Reconstruct::Splats);
+        // Settings that went only with those that were removed are removed, too.
+        Settings::from(settings.applied())
+    }
+}
 
 impl Settings {
     /// Full detail with samples as splats, and no pixel averaged.
@@ -51,6 +67,19 @@ mod tests {
         assert_eq!(exact.finer(1, false), exact);
         // The largest radius stays the largest.
         assert_eq!(exact.finer(100, false).edl_radius_px.get(), 16.0);
+    }
+
+    #[test]
+    fn references_keep_what_trades_nothing() {
+        let mut given = Given::default();
+        for (name, value) in
+            [("reconstruct", "points"), ("lod", "spt"), ("antialias", "16x"), ("edl", "on")]
+        {
+            given.set_text(name, value).unwrap();
+        }
+        let edl = Settings::from(given).edl;
+        assert_eq!(given.exact(), Settings { edl, ..Settings::exact() });
+        assert_eq!(Given::default().exact(), Settings::exact());
     }
 
     #[test]

@@ -45,6 +45,13 @@ impl Given {
     }
 }
 
+impl Given {
+    /// Whether it matters how samples are drawn, for settings that list what affects a frame.
+    pub fn draws_samples(&self) -> bool {
+        self.reconstruct.is_some()
+    }
+}
+
 impl Settings {
     /// The defaults, with samples drawn in a given way.
     pub fn drawn_as(reconstruct: Reconstruct) -> Settings {
@@ -106,6 +113,12 @@ impl Settings {
     #[must_use]
     pub fn comparable(&self) -> Settings {
         Settings { edl: Edl::Off, ..*self }
+    }
+
+    /// The settings of a frame that waits for everything that it needs.
+    #[must_use]
+    pub fn complete(&self) -> Settings {
+        Settings { wait: Wait::Complete, ..*self }
     }
 
     /// The settings with the least width of lines decided: lines that would be lost as scattered pixels are a pixel wide.

@@ -1,0 +1,112 @@
+//! The work of a survey, on a thread of its own.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::SystemTime;
+
+use super::store::Kept;
+use super::{Failure, Progress, Shared, State, Wanted, tag};
+use crate::accuracy::journal::Journal;
+use crate::accuracy::results::Results;
+use crate::accuracy::survey::{Survey, SurveyError};
+use crate::accuracy::{date, sweep};
+use crate::engine::{Client, EngineError, FrameRequest, Pose};
+use crate::plan::Extent;
+
+/// The number of the surveys' lane in the queue; those of jobs begin at 1.
+const LANE: u64 = 0;
+/// Seed of the order in which frames are timed.
+const SEED: u64 = 1;
+
+impl Shared {
+    /// Surveys a scene.
+    ///
+    /// # Errors
+    /// How the survey ended without results.
+    pub(super) fn measure(
+        &self,
+        scene: &str,
+        wanted: &Wanted,
+        stop: &AtomicBool,
+    ) -> Result<Kept, State> {
+        let engine = &self.engine;
+        let mark = engine.scene_mark(scene);
+        let has_changed = || engine.scene_mark(scene) != mark;
+        let measured = self.survey(scene, wanted, stop, &has_changed);
+        // Frames of a scene that changed show both contents, or failed because of the change.
+        if has_changed() {
+            return Err(State::Failed(Failure::SceneChanged));
+        }
+        measured.map_err(|error| match error {
+            SurveyError::Stopped | SurveyError::Engine(EngineError::ShuttingDown) => {
+                State::Cancelled
+            }
+            error => State::Failed(Failure::Other(error.to_string())),
+        })
+    }
+
+    fn survey(
+        &self,
+        scene: &str,
+        wanted: &Wanted,
+        stop: &AtomicBool,
+        has_changed: &impl Fn() -> bool,
+    ) -> Result<Kept, SurveyError> {
+        let engine = &self.engine;
+        let info = engine.scene(scene)?;
+        let tag = tag(engine, scene)?;
+        let mut survey = Survey {
+            engine,
+            client: Client::Job(LANE),
+            scene,
+            poses: Vec::new(),
+            rows: sweep::rows(if wanted.is_quick { Extent::Few } else { Extent::All }),
+            size: wanted.size,
+            repeats: wanted.repeats,
+            seed: SEED,
+            oracle: None,
+            folder: None,
+            stop,
+        };
+        if info.cameras.is_empty() && wanted.cameras.is_empty() {
+            self.bake(&survey.request_at(Pose::FIT), stop)?;
+        }
+        survey.find_poses(&info, &wanted.cameras, wanted.is_quick)?;
+        for request in survey.requests() {
+            self.bake(&request, stop)?;
+        }
+        let blank = survey.leave_out_blank()?;
+        if survey.poses.is_empty() {
+            return Err(SurveyError::Blank(blank.join(", ")));
+        }
+        let identity = survey.identity(&info.name)?;
+        let mut journal = Journal::in_memory(&identity, &date(SystemTime::now()));
+        let is_complete = survey.run(&mut journal, |event| {
+            let (done, total, what) = (event.done, event.total, event.what.to_owned());
+            self.tell(Progress { done, total, what });
+            if has_changed() {
+                stop.store(true, Ordering::Relaxed);
+            }
+        })?;
+        if !is_complete {
+            return Err(SurveyError::Stopped);
+        }
+        let results = Results::new(identity, journal.date, &survey.rows, &journal.records);
+        let kept = Kept::new(scene, tag, info.revision, &results);
+        kept.map_err(|error| EngineError::Internal(error.to_string()).into())
+    }
+
+    /// Bakes what a frame needs. The bake is given up if the survey is told to stop.
+    fn bake(&self, request: &FrameRequest, stop: &AtomicBool) -> Result<(), SurveyError> {
+        let Some(mut ticket) = self.engine.begin_bake(request)? else { return Ok(()) };
+        let mut told = -1.0;
+        let baked = ticket.wait_while(|done| {
+            if done != told {
+                told = done;
+                let what = format!("baking, {:.0} %", 100.0 * done);
+                self.tell(Progress { what, ..Progress::default() });
+            }
+            !stop.load(Ordering::Relaxed)
+        });
+        Ok(baked.ok_or(SurveyError::Stopped)??)
+    }
+}
