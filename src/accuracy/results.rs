@@ -421,6 +421,7 @@ pub(super) mod tests {
     fn given(number: u32) -> Box<Given> {
         let mut given = Given::default();
         given.set_text("edl_strength", &number.to_string()).unwrap();
+        given.set_text("reconstruct", "splats").unwrap();
         Box::new(given)
     }
 
@@ -429,7 +430,7 @@ pub(super) mod tests {
         let row = |label: &str| Row {
             label: label.into(),
             family: label[..3].into(),
-            given: Given::default(),
+            given: if label == "good way" { Given::default() } else { *given(1) },
         };
         let rows = ["fast way", "good way", "beaten way", "other way", "gone <way>"].map(row);
         let mut records = Vec::new();
@@ -508,6 +509,7 @@ pub(super) mod tests {
         assert_eq!(names, [ALL_POSES, "front", "back & side"]);
         let front = &results.scopes[1];
         assert_eq!(front.fronts["psnr"], ["fast way", "good way"]);
+        assert_eq!(front.default.as_deref(), Some("good way"));
         let price = front.price.unwrap();
         assert!((price.from_db - 30.0).abs() < 1e-9 && (price.to_db - 40.0).abs() < 1e-9);
         assert!(

@@ -15,6 +15,7 @@ mod store;
 mod work;
 
 use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -291,7 +292,11 @@ impl Shared {
     /// Surveys a scene and keeps the results.
     fn work(&self, scene: &str, wanted: &Wanted, stop: &AtomicBool, admission: &Admission) {
         tracing::info!(scene, ?wanted, "measuring accuracy");
-        let measured = self.measure(scene, wanted, stop);
+        let measuring = AssertUnwindSafe(|| self.measure(scene, wanted, stop));
+        let measured = catch_unwind(measuring).unwrap_or_else(|_| {
+            let detail = "the measurement ended by a defect of the program";
+            Err(State::Failed(Failure::Other(detail.to_owned())))
+        });
         admission.shrink_to(0);
         let (state, kept) = match measured {
             Ok(kept) => (State::Done, Some(Arc::new(kept))),

@@ -146,9 +146,10 @@ pub async fn compare(
     app.engine.scene(&id).map_err(|error| missing(&app, &id, error.into()))?;
     let [width, height] = asked.size;
     let pixels = u64::from(width) * u64::from(height);
-    if pixels > MOST_PIXELS {
+    let most = MOST_PIXELS.min(app.engine.limits().max_pixels);
+    if pixels > most {
         let what = "pixels in a comparison";
-        let (found, limit, parameter) = (pixels, MOST_PIXELS, Some("w"));
+        let (found, limit, parameter) = (pixels, most, Some("w"));
         return Err(EngineError::OverLimit { what, found, limit, parameter }.into());
     }
     let finer = asked.finer(&app)?;
@@ -174,14 +175,15 @@ pub async fn compare(
         app.metrics.frame(&frame);
         frames.push(frame);
     }
-    let turn = app.comparing.acquire().await.map_err(Problem::internal)?;
+    let turn = app.comparing.clone().acquire_owned().await.map_err(Problem::internal)?;
     let work = move || {
+        // Both last until the work has ended, even if the client has gone.
+        let _held = (turn, admission);
         let drawn: [Arc<EncodedFrame>; 4] =
             frames.try_into().map_err(|_| Problem::internal("a comparison lost a frame"))?;
         asked.answer(&drawn, finer)
     };
     let answer = tokio::task::spawn_blocking(work).await.map_err(Problem::internal)??;
-    drop(turn);
     let mut response = Json(answer).into_response();
     response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
     Ok(response)

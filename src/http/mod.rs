@@ -128,7 +128,7 @@ pub struct App {
     pub(crate) jobs: Result<Jobs, String>,
     pub(crate) surveys: Surveys,
     /// The turn of the comparison whose figures are computed.
-    pub(crate) comparing: tokio::sync::Semaphore,
+    pub(crate) comparing: Arc<tokio::sync::Semaphore>,
     /// Key of the hash that numbers callers, so that no caller can choose a number that is another's.
     callers: RandomState,
     /// Origins whose pages may read `Server-Timing`.
@@ -154,7 +154,7 @@ impl App {
         let folder = jobs.as_ref().ok().map(|jobs| jobs.folder().join("accuracy"));
         Arc::new(App {
             surveys: Surveys::open(engine.clone(), folder),
-            comparing: tokio::sync::Semaphore::new(1),
+            comparing: Arc::new(tokio::sync::Semaphore::new(1)),
             metrics: metrics::Metrics::new(&engine, jobs.as_ref().ok()),
             jobs,
             registry: registry::Registry::default(),

@@ -148,6 +148,7 @@ mod tests {
             "| reference | the reference |",
             "| ● | fast way | 1.60 (1.55–1.65) | 29.97 |",
             "|  | beaten way |",
+            "| ● | good way (default) |",
             "## back & side",
             "| other way | good way | reason 0 |",
             "| gone &lt;way> | too large |",

@@ -324,6 +324,8 @@ mod tests {
         // Two families in the legend, and three rows.
         assert_eq!(find("dot").len(), 6);
         assert_eq!(find("bar").len(), 3);
+        // The default in the legend and in the plot.
+        assert_eq!(find("usual").len(), 2);
         let front: Vec<_> =
             find("front").into_iter().filter_map(|node| node.attribute("points")).collect();
         assert_eq!(front.len(), 1);
