@@ -71,6 +71,7 @@ const link = new Link(() => scene && { id: scene.id, params: parameters() }, {
 // moving: as in Link.show.
 function changed(moving) {
   if (!scene) return;
+  accuracy.moved();
   canvas.dataset.state = 'waiting';
   overlay.wait();
   link.show(moving);
@@ -85,7 +86,6 @@ function setPose(next, moving) {
   turning++;
   if (document.activeElement !== $('fov')) showFov();
   showCamera();
-  accuracy.moved();
   overlay.lost(outOfSight());
   drawMeasures();
   changed(moving);
@@ -443,7 +443,7 @@ const controls = new Controls(canvas, {
 });
 
 $('measure').addEventListener('click', toggleMeasuring);
-settings.onChange(() => { accuracy.moved(); isFlatByCamera &&= isFlat(); drawMeasures(); changed(false); recorder.show(); });
+settings.onChange(() => { isFlatByCamera &&= isFlat(); drawMeasures(); changed(false); recorder.show(); });
 upload.watch({
   added: async id => { await list(); choose(id); canvas.focus({ preventScroll: true }); },
   path: (text, name) => recorder.load(text, name),
