@@ -148,7 +148,7 @@ fn scene_warnings(
             splats.cutoff * splats.width
         ));
     }
-    if description.lights.iter().any(|light| matches!(light, Light::Sun { shadows: true, .. })) {
+    if description.lights.iter().any(|light| matches!(light, Light::Sun { shadows: Some(_), .. })) {
         warnings.push("lights ask for shadows, which this version does not draw".to_owned());
     }
     warnings

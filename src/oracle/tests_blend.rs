@@ -138,7 +138,7 @@ fn light_falls_on_the_mean_or_on_each() {
         let n = normal(side);
         [DVec3::NEG_Z, n.cross(DVec3::Y) * -0.05, DVec3::Y * 0.05]
     };
-    let sun = Light::Sun { direction: -normal(1.0), color: [1.6; 3], shadows: false };
+    let sun = Light::Sun { direction: -normal(1.0), color: [1.6; 3], shadows: None };
     let both = colored(&[tilted(1.0), tilted(-1.0)], &[[255; 4]; 2]);
     // The kernels lie as the normals say, so that only the weights are left to know: equal on the axis between them.
     let view = View { principal_px: DVec2::new(32.5, 24.5), ..view() };

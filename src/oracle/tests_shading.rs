@@ -203,7 +203,7 @@ fn phong_by_hand() {
     // Head on: n·l = r·v = 1.
     near(lit(&head, Vec3::Z, 0.5), [3.0, green, 0.5, 1.0]);
     // A sun travelling along −x: l = x, n·l = cos 30°, r·v = sin 60°.
-    let sun = |x: f64| Light::Sun { direction: DVec3::X * x, color: [1.0; 3], shadows: false };
+    let sun = |x: f64| Light::Sun { direction: DVec3::X * x, color: [1.0; 3], shadows: None };
     let c30 = 0.75f64.sqrt();
     let highlight = 0.5 * c30.powi(3);
     let expected = [c30 + highlight, c30 * green, highlight, 1.0];

@@ -163,6 +163,9 @@ impl MaterialSpec {
     }
 }
 
+/// Lights of a scene that may cast shadows: each takes a frame of its own, seen from the light.
+pub const MOST_CASTING_LIGHTS: usize = 4;
+
 /// A light, colours linear and already multiplied by intensity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Light {
@@ -177,7 +180,8 @@ pub enum Light {
     Sun {
         direction: DVec3,
         color: [f32; 3],
-        shadows: bool,
+        /// The sun's angular diameter in degrees, where the sun casts shadows: their edges are as wide as it makes them.
+        shadows: Option<f64>,
     },
     /// Falls off as `1 / (1 + (d / range)²)`; at `range` half is left.
     Point {
@@ -192,6 +196,10 @@ impl Light {
     /// white, so that its shape is seen.
     pub fn default_pair() -> [Light; 2] {
         [Light::Headlight { color: [0.63; 3] }, Light::Ambient { color: [0.07; 3] }]
+    }
+
+    pub fn casts_shadows(&self) -> bool {
+        matches!(self, Light::Sun { shadows: Some(_), .. })
     }
 }
 

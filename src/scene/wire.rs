@@ -308,6 +308,10 @@ pub(super) struct LightWire {
     /// Whether a sun casts shadows, false when absent.
     #[serde(default)]
     pub shadows: Option<bool>,
+    /// Angular diameter in degrees of a sun that casts shadows, 0 to 20; 0.53, that of the sun seen from the Earth, when absent. The larger it is, the softer
+    /// are the shadows' edges; with 0 they are hard.
+    #[serde(default)]
+    pub angle: Option<f64>,
 }
 
 #[derive(Debug, serde::Deserialize, JsonSchema)]

@@ -84,7 +84,7 @@ fn everything_at_once() {
         "nodes": [ { "name": "n", "prototype": "pair", "rotate": [0, 0, 90], "translate": [10, 0, 0],
                      "repeat": { "grid": [2, 1, 1], "step": [4, 0, 0] } },
                    { "name": "off", "asset": "a", "visible": false } ],
-        "lights": [ { "kind": "sun", "direction": [0, 0, -2], "color": "#fff", "intensity": 2, "shadows": true },
+        "lights": [ { "kind": "sun", "direction": [0, 0, -2], "color": "#fff", "intensity": 2, "shadows": true, "angle": 2 },
                     { "kind": "point", "position": [1, 2, 3], "range": 5 }, { "kind": "ambient" } ],
         "cameras": { "z": { "eye": [0, 1, 3], "target": [0, 0, 0] }, "a": { "eye": [1, 1, 3], "target": [0, 0, 0], "fov": 60, "up": "x" } },
         "paths": { "fly": { "keys": [ { "t": 0, "eye": [0, 1, 9], "target": [0, 0, 0] }, { "t": 4, "eye": [9, 1, 0], "target": [0, 0, 0] } ] } } }"##;
@@ -100,7 +100,7 @@ fn everything_at_once() {
     assert_eq!(scene.background, [0.0; 4]);
     assert_eq!(
         scene.lights[0],
-        Light::Sun { direction: DVec3::NEG_Z, color: [2.0; 3], shadows: true }
+        Light::Sun { direction: DVec3::NEG_Z, color: [2.0; 3], shadows: Some(2.0) }
     );
     let found = scene.instances();
     assert_eq!(found.len(), 4);
@@ -242,6 +242,12 @@ fn refusals_beyond_nodes() {
         "did you mean `sun`?",
     );
     top(r#""lights": [{"kind": "ambient", "shadows": true}]"#, "lights[0].shadows", "only a sun");
+    let sun = |rest: &str| format!(r#"{{"kind": "sun", "direction": [0, -1, 0]{rest}}}"#);
+    let lights = |suns: &[String]| format!(r#""lights": [{}]"#, suns.join(", "));
+    top(&lights(&[sun(r#", "angle": 1"#)]), "lights[0].angle", "softens shadows");
+    top(&lights(&[sun(r#", "shadows": true, "angle": 21"#)]), "lights[0].angle", "outside 0..=20");
+    let casting = vec![sun(r#", "shadows": true"#); 5];
+    top(&lights(&casting), "lights", "5 suns cast shadows, 4 are possible");
     top(r#""lights": [{"kind": "ambient", "range": 1}]"#, "lights[0].range", "a point light");
     top(
         r#""lights": [{"kind": "point", "position": [0,0,0], "range": 0}]"#,

@@ -8,7 +8,7 @@ use super::super::wire::{
     CameraWire, ColorWire, LightKind, LightWire, MaterialWire, Object, PATH_FPS, PATH_SECONDS,
     PathWire, SplatsWire,
 };
-use super::super::{CameraPath, Light, MaterialSpec, PathKey, Splats, Up};
+use super::super::{CameraPath, Light, MOST_CASTING_LIGHTS, MaterialSpec, PathKey, Splats, Up};
 use super::{
     DEFAULT_FOV_DEG, LARGEST_COORDINATE, LARGEST_INTENSITY, Place, Valid, coordinates, unit, within,
 };
@@ -39,6 +39,8 @@ pub(super) fn material(name: &str, wire: &MaterialWire, place: Place<'_>) -> Val
 
 /// Each pixel goes through all of them.
 const MOST_LIGHTS: usize = 256;
+/// Angular diameter in degrees of the sun as seen from the Earth.
+const SUN_ANGLE_DEG: f64 = 0.53;
 
 pub(super) fn lights(wires: Option<&[Object<LightWire>]>) -> Valid<Vec<Light>> {
     let Some(wires) = wires else { return Ok(Light::default_pair().to_vec()) };
@@ -47,7 +49,17 @@ pub(super) fn lights(wires: Option<&[Object<LightWire>]>) -> Valid<Vec<Light>> {
     if wires.len() > MOST_LIGHTS {
         return place.refuse(format!("{} lights, {MOST_LIGHTS} are possible", wires.len()));
     }
-    wires.iter().enumerate().map(|(i, wire)| light(wire, place.index(i))).collect()
+    let lights: Vec<Light> = wires
+        .iter()
+        .enumerate()
+        .map(|(i, wire)| light(wire, place.index(i)))
+        .collect::<Valid<_>>()?;
+    let casting = lights.iter().filter(|light| light.casts_shadows()).count();
+    if casting > MOST_CASTING_LIGHTS {
+        return place
+            .refuse(format!("{casting} suns cast shadows, {MOST_CASTING_LIGHTS} are possible"));
+    }
+    Ok(lights)
 }
 
 fn light(wire: &LightWire, place: Place<'_>) -> Valid<Light> {
@@ -60,9 +72,16 @@ fn light(wire: &LightWire, place: Place<'_>) -> Valid<Light> {
     only("direction", wire.direction.is_some(), &[LightKind::Sun], "a sun")?;
     only("position", wire.position.is_some(), &[LightKind::Point], "a point light")?;
     only("range", wire.range.is_some(), &[LightKind::Point], "a point light")?;
-    if wire.shadows == Some(true) && wire.kind != LightKind::Sun {
+    let casts = wire.shadows == Some(true);
+    if casts && wire.kind != LightKind::Sun {
         return place.key("shadows").refuse("only a sun casts shadows");
     }
+    if wire.angle.is_some() && !casts {
+        return place
+            .key("angle")
+            .refuse("only a sun with `\"shadows\": true` has one: it softens shadows");
+    }
+    let angle_deg = within(wire.angle.unwrap_or(SUN_ANGLE_DEG), 0.0, 20.0, place.key("angle"))?;
     let intensity =
         within(wire.intensity.unwrap_or(1.0), 0.0, LARGEST_INTENSITY, place.key("intensity"))?;
     let tint = match &wire.color {
@@ -78,7 +97,7 @@ fn light(wire: &LightWire, place: Place<'_>) -> Valid<Light> {
                 return place.refuse("a sun needs `direction`, where its light travels to");
             };
             let direction = unit(direction, place.key("direction"))?;
-            Ok(Light::Sun { direction, color, shadows: wire.shadows.unwrap_or(false) })
+            Ok(Light::Sun { direction, color, shadows: casts.then_some(angle_deg) })
         }
         LightKind::Point => {
             let Some(position) = wire.position else {
