@@ -123,6 +123,7 @@ impl Reference {
         OracleScene {
             items: self.placed.iter().enumerate().map(item).collect(),
             lights: &self.description.lights,
+            shadows: true,
             background: self.description.background,
             splats: None,
             painted: None,

@@ -122,9 +122,11 @@ fn item_splats(
         let hit = Hit { depth: 0.0, item: number as u32, index: index as u32 };
         // A sample's surface is the same from every pixel: colour and normal, turned to the eye, at its own centre.
         let surface = surface::at(prepared, view, &hit, 0, 0);
+        let surface = Surface { thickness: seen.offset, ..surface };
         let color = match (settings.splats.blend, settings.splats.shading) {
-            (Blend::Weighted, Shading::Splat) => shade(&surface, prepared.scene.lights, view.eye)
-                .map(|channel| channel.clamp(0.0, 1.0)),
+            (Blend::Weighted, Shading::Splat) => {
+                shade(&surface, prepared, view.eye).map(|channel| channel.clamp(0.0, 1.0))
+            }
             _ => surface.albedo,
         };
         let instance = item.item.instance;
@@ -252,7 +254,7 @@ impl<'a> Band<'a> {
         surface.recolor(self.prepared.scene.recolor.as_ref(), self.view, winner.instance);
         let color = match (self.settings.splats.blend, self.settings.splats.shading) {
             (Blend::Weighted, Shading::Splat) => surface.albedo,
-            _ => shade(&surface, self.prepared.scene.lights, self.view.eye),
+            _ => shade(&surface, self.prepared, self.view.eye),
         };
         let normal_world = surface.normal_world;
         Blended { color, normal_world, depth, instance: winner.instance }

@@ -49,13 +49,7 @@ impl Seen {
         (view, width_px): (&View, f64),
         vertex: u32,
     ) -> Option<Seen> {
-        let ends = [vertex as usize, vertex as usize + 1];
-        let [a, b] = ends.map(|v| lines.positions.get(v).and_then(|&p| item.to_view(p)));
-        let (a, b) = (a?, b?);
-        let stretch = item.greatest_stretch();
-        let own =
-            |v: usize| lines.radii.as_ref().map_or(0.0, |radii| f64::from(radii[v])) * stretch;
-        let own = ends.map(own);
+        let Tube { ends: [a, b], radii: own } = axis(item, lines, vertex)?;
         let focal = (view.focal_px.x * view.focal_px.y).sqrt();
         let least = |p: DVec3| 0.5 * width_px * view.divisor((-p.z).max(0.0)) / focal;
         let is_widened = own[0] < least(a) || own[1] < least(b);
@@ -63,19 +57,14 @@ impl Seen {
         let [a, b] = range.map(|share| if share == 1.0 { b } else { a.lerp(b, share) });
         let own = range.map(|share| own[0] + (own[1] - own[0]) * share);
         let radii = [own[0].max(least(a)), own[1].max(least(b))];
-        let Some(normals) = &lines.normals else {
-            return Some(Seen { shape: Shape::Tube(Tube { ends: [a, b], radii }), range });
+        let tube = Tube { ends: [a, b], radii };
+        let shape = match ribbon(item, lines, vertex, (&tube, range)) {
+            None => Shape::Tube(tube),
+            Some(corners) => {
+                Shape::Ribbon(corners.map(|corners| SeenTriangle::new(corners, view.projection)))
+            }
         };
-        let strand = lines.strand_of(vertex);
-        let sides = ends.map(|end| {
-            let side = lines.side(normals, end, strand.clone());
-            item.to_view_direction(side).normalize_or_zero()
-        });
-        let side = |place: usize| sides[0].lerp(sides[1], range[place]) * radii[place];
-        let (sa, sb) = (side(0), side(1));
-        let corners = [[a - sa, a + sa, b + sb], [a - sa, b + sb, b - sb]];
-        let triangles = corners.map(|corners| SeenTriangle::new(corners, view.projection));
-        Some(Seen { shape: Shape::Ribbon(triangles), range })
+        Some(Seen { shape, range })
     }
 
     /// Pixels that hold every covered one.
@@ -127,6 +116,46 @@ impl Seen {
             }
         }
     }
+}
+
+/// A segment of its true radius in view space.
+pub enum TrueSegment {
+    Tube(Tube),
+    Ribbon([[DVec3; 3]; 2]),
+}
+
+/// The segment as it stands in the way of light; `None` where its ends cannot be drawn.
+pub fn casting(item: &PreparedItem<'_>, lines: &Polylines, vertex: u32) -> Option<TrueSegment> {
+    let tube = axis(item, lines, vertex)?;
+    let corners = ribbon(item, lines, vertex, (&tube, [0.0, 1.0]));
+    Some(corners.map_or(TrueSegment::Tube(tube), TrueSegment::Ribbon))
+}
+
+/// A segment's ends in view space, and its true radii there.
+fn axis(item: &PreparedItem<'_>, lines: &Polylines, vertex: u32) -> Option<Tube> {
+    let ends = [vertex as usize, vertex as usize + 1];
+    let [a, b] = ends.map(|v| lines.positions.get(v).and_then(|&p| item.to_view(p)));
+    let stretch = item.greatest_stretch();
+    let own = |v: usize| lines.radii.as_ref().map_or(0.0, |radii| f64::from(radii[v])) * stretch;
+    Some(Tube { ends: [a?, b?], radii: ends.map(own) })
+}
+
+/// The two triangles of a ribbon between shares of a segment, whose ends and radii there are those of `tube`; `None` for lines that are tubes.
+fn ribbon(
+    item: &PreparedItem<'_>,
+    lines: &Polylines,
+    vertex: u32,
+    (tube, range): (&Tube, [f64; 2]),
+) -> Option<[[DVec3; 3]; 2]> {
+    let normals = lines.normals.as_ref()?;
+    let strand = lines.strand_of(vertex);
+    let sides = [vertex as usize, vertex as usize + 1].map(|end| {
+        let side = lines.side(normals, end, strand.clone());
+        item.to_view_direction(side).normalize_or_zero()
+    });
+    let side = |place: usize| sides[0].lerp(sides[1], range[place]) * tube.radii[place];
+    let ([a, b], sa, sb) = (tube.ends, side(0), side(1));
+    Some([[a - sa, a + sa, b + sb], [a - sa, b + sb, b - sb]])
 }
 
 /// Shares of a segment between which it lies before the camera plane, but for a tiny part; all of it where it does not pass the plane. A radius
@@ -222,7 +251,8 @@ pub fn surface(
             let tangent = axis.normalize_or_zero();
             let across = tangent * way.dot(tangent) - way;
             let surface = surface_of(color, (view, position), world_from_view * across, &material);
-            Surface { lit_as: LitAs::Line(world_from_view * tangent), ..surface }
+            let thickness = 4.0 * mix(tube.radii, met.share);
+            Surface { lit_as: LitAs::Line(world_from_view * tangent), thickness, ..surface }
         }
         Shape::Ribbon(_) => {
             let normal = lines.normals.as_ref().map_or(DVec3::ZERO, |normals| {

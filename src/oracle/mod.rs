@@ -13,7 +13,7 @@
 //!    `paint` lays them over each other instead, where that is asked for.
 //!    `pull_push` fills the gaps between samples of one pixel from coarser levels of the image instead, where that is asked for.
 //! 3. `surface`: colour (`texture` included), normal and material where the ray meets the winner.
-//! 4. `shade`: Phong, or the colour as it is.
+//! 4. `shade`: Phong, or the colour as it is. `shadow` finds out what share of a sun a place sees, where suns cast shadows.
 //! 5. `edl`: eye-dome lighting, where it is asked for.
 //! 6. `composite`: translucent triangles over all that, in the order of their depths. Depths, normals and ids are those of the nearest
 //!    surface, translucent or not.
@@ -31,6 +31,7 @@ mod predicates;
 mod prepare;
 mod pull_push;
 mod shade;
+mod shadow;
 mod splats;
 mod surface;
 #[cfg(test)]
@@ -41,6 +42,8 @@ mod tests_blend;
 mod tests_hard;
 #[cfg(test)]
 mod tests_shading;
+#[cfg(test)]
+mod tests_shadow;
 #[cfg(test)]
 mod tests_splats;
 mod texture;
@@ -65,6 +68,8 @@ pub struct OracleScene<'a> {
     pub items: Vec<OracleItem<'a>>,
     /// None leave every colour as it is.
     pub lights: &'a [Light],
+    /// Whether suns that cast shadows do so; they shine through everything where this is false.
+    pub shadows: bool,
     /// Linear RGB and straight alpha of pixels that nothing covers.
     pub background: [f32; 4],
     /// How samples are drawn as splats; `None` draws one pixel a sample.
@@ -257,7 +262,7 @@ fn opaque([r, g, b]: [f64; 3]) -> [f64; 4] {
 fn shaded(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: usize) -> ([f64; 3], f64) {
     let mut surface = surface::at(prepared, view, hit, x, y);
     surface.recolor(prepared.scene.recolor.as_ref(), view, prepared.instance(hit));
-    (shade::shade(&surface, prepared.scene.lights, view.eye), surface.alpha)
+    (shade::shade(&surface, prepared, view.eye), surface.alpha)
 }
 
 /// Factors of eye-dome lighting, from the depths of what is opaque at the pixels' centres; none where it is off.

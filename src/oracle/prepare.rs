@@ -1,4 +1,4 @@
-//! Values computed once a frame: transforms relative to the eye, and texture pyramids.
+//! Values computed once a frame: transforms relative to the eye, texture pyramids, and what casts shadows.
 
 use std::collections::HashMap;
 
@@ -6,8 +6,10 @@ use glam::{DMat3, DVec3};
 
 use crate::assets::{Filter, Geometry, Material, Mesh, Texture};
 use crate::math::View;
-use crate::scene::MaterialSpec;
+use crate::scene::{Light, MaterialSpec};
 
+use super::shadow::Occluders;
+use super::surface::Surface;
 use super::texture::{self, Pyramid};
 use super::visibility::Hit;
 use super::{OracleItem, OracleScene};
@@ -21,6 +23,8 @@ pub struct Prepared<'a> {
     pub items: Vec<PreparedItem<'a>>,
     /// By the texture's address, as items share an asset's textures.
     pyramids: HashMap<usize, Pyramid>,
+    /// `None` where nothing casts shadows.
+    occluders: Option<Occluders>,
 }
 
 /// An item with its transform taken apart.
@@ -49,7 +53,19 @@ impl<'a> Prepared<'a> {
             }
         }
         let items = scene.items.iter().map(|item| PreparedItem::new(item, view)).collect();
-        Self { scene, items, pyramids }
+        let mut prepared = Self { scene, items, pyramids, occluders: None };
+        prepared.occluders = Occluders::of(&prepared, view);
+        prepared
+    }
+
+    /// The share of a light, 0 to 1, that reaches the place of a surface: less than 1 only for suns that cast shadows.
+    pub fn sunlight(&self, surface: &Surface, light: &Light) -> f64 {
+        match (&self.occluders, *light) {
+            (Some(occluders), Light::Sun { direction, shadows: Some(angle_deg), .. }) => {
+                occluders.share(self, surface, (direction, angle_deg))
+            }
+            _ => 1.0,
+        }
     }
 
     pub fn pyramid(&self, texture: &Texture) -> Option<&Pyramid> {

@@ -245,14 +245,18 @@ impl Steps<'_> {
         })
     }
 
+    /// How far behind a patch others still count as the same surface: a share of its distance, or a length where rays are parallel.
+    fn offset(&self, patch: &Patch) -> f64 {
+        f64::from(self.settings.splats.depth_offset) * patch.radius_px / self.focal_px()
+    }
+
     /// A patch as it is seen from a place in the image.
     fn see(&self, patch: Patch, place_px: DVec2, widen_px: f64) -> Seen {
         let widened = patch.spread + DMat2::from_diagonal(DVec2::splat(widen_px * widen_px));
         let away = place_px - patch.at_px;
         let distance = away.dot(widened.inverse() * away);
         let inverse = 1.0 / self.depth(&patch, place_px);
-        let offset =
-            f64::from(self.settings.splats.depth_offset) * patch.radius_px / self.focal_px();
+        let offset = self.offset(&patch);
         let behind = match self.view.is_orthographic() {
             true => inverse / (1.0 + offset * inverse),
             false => inverse / (1.0 + offset),
@@ -461,12 +465,13 @@ impl Steps<'_> {
             position_from_eye: world_from_view * position_view,
             way: world_from_view * self.view.towards(position_view),
             normal_world: patch.normal_world,
+            thickness: self.offset(patch) * self.view.divisor(depth),
             ..surface::at(self.prepared, self.view, &patch.source, 0, 0)
         };
         surface.turn_to_eye();
         let instance = self.prepared.instance(&patch.source);
         surface.recolor(self.prepared.scene.recolor.as_ref(), self.view, instance);
-        let color = shade(&surface, self.prepared.scene.lights, self.view.eye);
+        let color = shade(&surface, self.prepared, self.view.eye);
         Blended { color, normal_world: surface.normal_world, depth, instance }
     }
 }

@@ -1,9 +1,10 @@
-//! Phong's model with ambient, head, sun and point lights, without shadows.
+//! Phong's model with ambient, head, sun and point lights. Only suns cast shadows.
 
 use glam::DVec3;
 
 use crate::scene::Light;
 
+use super::prepare::Prepared;
 use super::surface::{LitAs, Surface};
 
 /// Linear RGB, not clamped.
@@ -11,8 +12,9 @@ use super::surface::{LitAs, Surface};
 /// `albedo · Σ ambient + Σ color · (albedo · n·l + specular · max(0, r·v)^shininess)` over the lights in front of
 /// the surface (`n·l > 0`), where `r` is `l` mirrored at the normal and `v` points to the eye. Without
 /// lights, without a normal or when the material is unlit, the albedo. Ribbons have `|n·l|` in place of `n·l`, and thin lines the
-/// mean over a cylinder ([`line()`]).
-pub fn shade(surface: &Surface, lights: &[Light], eye: DVec3) -> [f64; 3] {
+/// mean over a cylinder ([`line()`]). The light of a sun that casts shadows counts by the share of its disc that the place sees.
+pub fn shade(surface: &Surface, prepared: &Prepared<'_>, eye: DVec3) -> [f64; 3] {
+    let lights = prepared.scene.lights;
     let normal = surface.normal_world;
     let is_line = matches!(surface.lit_as, LitAs::Line(_));
     if lights.is_empty() || surface.unlit || (normal == DVec3::ZERO && !is_line) {
@@ -44,7 +46,8 @@ pub fn shade(surface: &Surface, lights: &[Light], eye: DVec3) -> [f64; 3] {
             LitAs::Line(tangent) => line(tangent, to_light, to_eye, surface.shininess),
         };
         if facing > 0.0 {
-            add(&mut sum, color.0, color.1, |channel| {
+            let strength = color.1 * prepared.sunlight(surface, light);
+            add(&mut sum, color.0, strength, |channel| {
                 surface.albedo[channel] * facing + surface.specular[channel] * highlight
             });
         }

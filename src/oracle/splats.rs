@@ -298,7 +298,7 @@ fn has_plane(centre: DVec3, [u, v]: [DVec3; 2]) -> bool {
 }
 
 /// The sample's unit normal, where one is known.
-fn normal(cloud: &PointCloud, index: usize) -> Option<DVec3> {
+pub(super) fn normal(cloud: &PointCloud, index: usize) -> Option<DVec3> {
     cloud.normals.as_ref()?.get(index)?.as_dvec3().try_normalize()
 }
 

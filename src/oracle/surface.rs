@@ -31,6 +31,8 @@ pub struct Surface {
     pub shininess: f64,
     pub unlit: bool,
     pub lit_as: LitAs,
+    /// How far along a ray of light other surfaces still count as this one, and cast no shadow on it.
+    pub thickness: f64,
 }
 
 /// How a surface reflects light.
@@ -100,6 +102,45 @@ pub fn is_cut_out(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: 
     }
 }
 
+/// Whether the material's alpha says that nothing is where a triangle's corners have these weights, whoever looks; `item` and `triangle` are
+/// numbers.
+pub fn is_cut_out_at(
+    prepared: &Prepared<'_>,
+    [item, triangle]: [u32; 2],
+    weights: [f64; 3],
+) -> bool {
+    let item = &prepared.items[item as usize];
+    let Geometry::Mesh(mesh) = item.item.geometry else { return false };
+    let own = item.material(mesh, triangle);
+    let corners = mesh.triangles.get(triangle as usize);
+    let (Some(own), Some(&corners)) = (own, corners) else { return false };
+    let Some(cutoff) = own.alpha_cutoff else { return false };
+    let footprint = |uvs: [DVec2; 3]| {
+        let uv = (0..3).map(|i| uvs[i] * weights[i]).sum();
+        texture::Footprint { uv, along_x: DVec2::ZERO, along_y: DVec2::ZERO }
+    };
+    let base_color = overridden(item, own).base_color;
+    let color = base(prepared, (item, mesh), (own, base_color), (corners, weights), footprint);
+    color[3] < f64::from(cutoff)
+}
+
+/// The colour of a triangle before light: that of its corners, its material and its texture. `footprint`: the place on the texture, from those of the corners.
+fn base(
+    prepared: &Prepared<'_>,
+    (item, mesh): (&PreparedItem<'_>, &Mesh),
+    (own, base_color): (&Material, [f32; 4]),
+    (corners, weights): ([u32; 3], [f64; 3]),
+    footprint: impl FnOnce([DVec2; 3]) -> texture::Footprint,
+) -> [f64; 4] {
+    let color = times(vertex_color(mesh, corners, weights), base_color.map(f64::from));
+    let texture = own.base_texture.and_then(|index| item.item.textures.get(index as usize));
+    let (Some(texture), Some(uvs)) = (texture, corner_values(&mesh.uvs, corners)) else {
+        return color;
+    };
+    let footprint = footprint(uvs.map(|uv| uv.as_dvec2()));
+    times(color, texture::sample(texture, prepared.pyramid(texture), &footprint))
+}
+
 /// The colour that a scalar field gives a sample; `None` if no field is shown.
 fn field_color(recolor: Option<&Recolor>, cloud: &PointCloud, sample: usize) -> Option<[u8; 4]> {
     let Some(Recolor::Field { name, range, map, has_classes }) = recolor else { return None };
@@ -160,13 +201,9 @@ fn triangle(
         return surface([0.0; 4], (view, position_view), DVec3::ZERO, &material);
     };
     let weights = seen.weights(ray);
-    let mut color = vertex_color(mesh, corners, weights);
-    color = times(color, material.base_color.map(f64::from));
-    let texture = own.base_texture.and_then(|index| item.item.textures.get(index as usize));
-    if let (Some(texture), Some(uvs)) = (texture, corner_values(&mesh.uvs, corners)) {
-        let footprint = uv_footprint(&seen, view, ray, uvs.map(|uv| uv.as_dvec2()));
-        color = times(color, texture::sample(texture, prepared.pyramid(texture), &footprint));
-    }
+    let footprint = |uvs| uv_footprint(&seen, view, ray, uvs);
+    let base_color = material.base_color;
+    let mut color = base(prepared, (item, mesh), (&own, base_color), (corners, weights), footprint);
     if let Some(Recolor::Field { .. }) = prepared.scene.recolor {
         let [r, g, b, _] = linear_from_srgba8([NO_VALUE, NO_VALUE, NO_VALUE, 255]);
         color = [r, g, b, color[3]];
@@ -213,6 +250,7 @@ pub fn surface(
         shininess: f64::from(material.shininess),
         unlit: material.unlit,
         lit_as: LitAs::Solid,
+        thickness: 0.0,
     }
 }
 

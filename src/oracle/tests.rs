@@ -47,6 +47,7 @@ pub fn scene<'a>(items: Vec<OracleItem<'a>>) -> OracleScene<'a> {
     OracleScene {
         items,
         lights: &[],
+        shadows: false,
         background: [0.0, 0.0, 0.0, 1.0],
         splats: None,
         painted: None,
