@@ -67,6 +67,12 @@ fn compositions(root: &str) -> Vec<(String, Choices, Composed)> {
     all = widen(all, "SUMS", |choices, side| choices.wide_sums = side);
     all = widen(all, "NORMAL_SUMS", |choices, side| choices.normal_sums = side);
     all = widen(all, "LIT", |choices, side| choices.lit = side);
+    // Where splats may be lit, their lights may cast shadows.
+    let casts = |c: Choices| if asks("SHADOWS") || c.lit { vec![false, true] } else { vec![false] };
+    all = all
+        .into_iter()
+        .flat_map(|c| casts(c).into_iter().map(move |shadows| Choices { shadows, ..c }))
+        .collect();
     all = widen(all, "FINISH", |choices, side| choices.kept = side);
     // Layers are those of triangles.
     if root == "resolve/resolve_triangles" {
@@ -140,10 +146,11 @@ fn every_composition_is_valid() {
     //   without votes), or from a list. Painted splats as a single pass, with a thread per splat, and counted with and without trees.
     // - Passes over pixels: with and without votes; samples with and without trees and scalar fields; outputs written at once or later;
     //   triangles also layer by layer.
+    // - Wherever light is computed, with and without shadows.
     // - Level 0 of pull-push: with and without clip lines, trees and scalar fields.
     // - Lists: of everything, or of trees. Others: no choices.
-    let (depths, sums, single) = (12, 64, 16);
-    let over_pixels = 6 * 2 * 2 + 3 * 2 * 2 + 2 * 2 + 2 * 2;
+    let (depths, sums, single) = (12, 96, 24);
+    let over_pixels = 2 * (6 * 2 * 2 + 3 * 2 * 2 + 2 * 2 + 2) + 2;
     let level_0 = 2 * 2 * 2;
     let lists = 3 * 2;
     let others = 21;

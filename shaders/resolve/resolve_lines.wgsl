@@ -57,7 +57,7 @@ fn line_light(light: Light, albedo: vec3<f32>, material: Material, direction: ve
     if SPECULAR {
         reflected += material.specular * factors.y;
     }
-    return reflected * light.color.rgb * l.w;
+    return reflected * light.color.rgb * (l.w * reaching(light, factors.x, place, l.xyz));
 }
 
 fn line_lights(albedo: vec3<f32>, material: Material, direction: vec3<f32>, place: vec3<f32>) -> vec3<f32> {

@@ -11,6 +11,22 @@ struct ClipBox {
     high: vec4<f32>,
 }
 
+// A sun's shadow map: the maps from places relative to the frame's origin, in world axes, to the pixels of the map and to the distance from the plane
+// that its depths are counted from, each a product with the first three numbers plus the last.
+struct SunMap {
+    x: vec4<f32>,
+    y: vec4<f32>,
+    depth: vec4<f32>,
+    // Side of a pixel in world units.
+    pixel: f32,
+    // Tangent of half the sun's angular diameter.
+    spread: f32,
+    // Pixels along a side.
+    side: u32,
+    // Where the map begins in `shadow_maps`.
+    first: u32,
+}
+
 struct Frame {
     // Rows of camera_from_world; w is unused.
     right: vec4<f32>,
@@ -88,6 +104,8 @@ struct Frame {
     // Painted splats that there is room for.
     paint_capacity: u32,
     clips: array<ClipBox, 8>,
+    // Shadow maps of the suns that cast shadows.
+    sun_maps: array<SunMap, 4>,
 }
 
 @group(0) @binding(0) var<uniform> frames: array<Frame, 16>;

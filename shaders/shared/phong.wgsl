@@ -1,11 +1,13 @@
 // Phong's model over all lights of a scene.
+//!include SHADOWS
 struct Light {
     // 0 ambient, 1 headlight, 2 sun, 3 point.
     kind: u32,
     // Distance at which a point light has lost half.
     range: f32,
-    unused_0: u32,
-    unused_1: u32,
+    // Number of its shadow map, counted from 1; 0 for lights without one.
+    map: u32,
+    unused: u32,
     // Linear, intensity included.
     color: vec4<f32>,
     // Direction of travel, or the position as the sum of two floats an axis.
@@ -63,7 +65,7 @@ fn phong(light: Light, albedo: vec3<f32>, material: Material, n: vec3<f32>, plac
         let r = 2.0 * cosine * n - l.xyz;
         reflected += material.specular * pow(max(dot(r, to_eye), 0.0), material.shininess);
     }
-    return reflected * light.color.rgb * l.w;
+    return reflected * light.color.rgb * (l.w * reaching(light, cosine, place, n));
 }
 
 // The unit direction towards the eye.
@@ -95,7 +97,7 @@ fn phong_ball(light: Light, albedo: vec3<f32>, material: Material, place: vec3<f
     if SPECULAR && light.kind != 0u {
         reflected += material.specular * (0.5 / (material.shininess + 1.0));
     }
-    return reflected * light.color.rgb * l.w;
+    return reflected * light.color.rgb * (l.w * reaching(light, mean, place, l.xyz));
 }
 
 fn ball_lights(albedo: vec3<f32>, material: Material, place: vec3<f32>) -> vec3<f32> {

@@ -20,7 +20,7 @@ use super::watch::{Abandoned, Watch};
 use super::{EngineConfig, EngineError, EstimateState, Estimates};
 use crate::assets::AssetError;
 use crate::memory::{Admission, Interrupt};
-use crate::plan::{Output, Settings};
+use crate::plan::{Output, Settings, Shadows};
 use crate::residency::model::AssetModel;
 
 impl Loaded {
@@ -128,9 +128,13 @@ impl Loaded {
         if self.is_whole() {
             return false;
         }
-        let lit = output == Output::Color && self.facts.lights > 0;
+        let is_color = output == Output::Color;
+        let lit = is_color && self.facts.lights > 0;
+        // Suns see splats, however the frame draws samples.
+        let casts = is_color && self.facts.casting_lights > 0 && settings.shadows == Shadows::On;
         settings.draws_trees()
             || !settings.draws_points()
+            || casts
             || (self.lacks_normals() && (output == Output::Normal || lit))
     }
 }

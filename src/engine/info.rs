@@ -60,6 +60,8 @@ pub struct SceneInfo {
     /// Names of top-level nodes, as `PATCH` takes them.
     pub nodes: Vec<String>,
     pub lights: usize,
+    /// Suns that cast shadows.
+    pub casting_lights: usize,
     /// Which way is up: what a pose without `up` uses.
     pub up: [f64; 3],
     /// Why that way is up: a guess names its evidence.

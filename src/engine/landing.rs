@@ -8,7 +8,7 @@ use super::frame_job::FrameJob;
 use super::pick;
 use super::renderer::{FlyingGroup, InFlight, Names, Renderer, STATS_BYTES};
 use crate::encode::FrameImage;
-use crate::passes::PassSpan;
+use crate::passes::{PassSpan, Shadows, Source};
 use crate::plan::{Output, Pass};
 use crate::residency::layout::GpuStats;
 
@@ -58,6 +58,13 @@ struct Times {
     stamps: Option<Vec<u64>>,
 }
 
+/// What a group has written.
+struct LandedGroup {
+    frames: Vec<(FrameImage, GpuStats)>,
+    /// What drawing each of its shadow maps counted.
+    maps: Vec<GpuStats>,
+}
+
 /// Whether the lists of a group were long enough.
 enum Room {
     Enough,
@@ -72,24 +79,48 @@ enum Room {
 }
 
 impl FlyingGroup {
-    /// The frames of a group that has landed.
-    fn read(&self) -> Option<Vec<(FrameImage, GpuStats)>> {
+    /// Reads a group that has landed.
+    fn read(&self) -> Option<LandedGroup> {
         let (size, count) = (self.pixel_bytes as usize, self.jobs.len());
-        let total = (self.pixel_bytes + STATS_BYTES) * count as u64;
+        let maps = self.shadows.as_ref().map_or(0, Shadows::stats_bytes);
+        let total = (self.pixel_bytes + STATS_BYTES) * count as u64 + maps;
         self.landing.read(total, |bytes| {
             let (pixels, stats) = bytes.split_at(size * count);
-            let stats = stats.chunks_exact(STATS_BYTES as usize);
-            let frames = self.jobs.iter().zip(pixels.chunks_exact(size)).zip(stats);
-            frames
-                .map(|((job, pixels), stats)| {
-                    let image = match job.frame.picks.len() {
-                        0 => image(job, pixels),
-                        count => pick::image(count, pixels, &self.chunk_ranges),
-                    };
-                    (image, bytemuck::pod_read_unaligned(stats))
-                })
-                .collect()
+            let stats: Vec<GpuStats> = stats
+                .chunks_exact(STATS_BYTES as usize)
+                .map(bytemuck::pod_read_unaligned)
+                .collect();
+            let (own, of_maps) = stats.split_at(count);
+            let images = self.jobs.iter().zip(pixels.chunks_exact(size)).map(|(job, pixels)| {
+                match job.frame.picks.len() {
+                    0 => image(job, pixels),
+                    count => pick::image(count, pixels, &self.chunk_ranges),
+                }
+            });
+            LandedGroup {
+                frames: images.zip(own.iter().copied()).collect(),
+                maps: of_maps.to_vec(),
+            }
         })
+    }
+}
+
+impl FlyingGroup {
+    /// No other frame may use the maps that the group has made.
+    fn spoil_maps(&self) {
+        if let Some(shadows) = self.shadows.as_ref().filter(|shadows| !shadows.sources.is_empty()) {
+            shadows.set.spoil();
+        }
+    }
+
+    /// Whether a list was too short for maps that another group has drawn.
+    fn has_spoiled_maps(&self) -> bool {
+        let Some(shadows) = &self.shadows else { return false };
+        let is_spoiled = |source: &Source| match source {
+            Source::Drawn => false,
+            Source::Copied(from, _) => from.is_spoiled(),
+        };
+        shadows.set.is_spoiled() || shadows.sources.iter().any(is_spoiled)
     }
 }
 
@@ -150,15 +181,16 @@ impl Renderer {
             // Buffers of what never began would show an older frame.
             let read = if never_begun { None } else { group.read() };
             let jobs = std::mem::take(&mut group.jobs);
-            let Some(frames) = read else {
+            let Some(LandedGroup { frames, maps }) = read else {
                 landed.lost = true;
+                group.spoil_maps();
                 match &refusal {
                     Some(text) => landed.refuse(jobs, &EngineError::Internal(text.clone())),
                     None => landed.again.extend(jobs),
                 }
                 continue;
             };
-            match self.make_room(&group, &frames) {
+            match self.make_all_room(&group, &frames, &maps) {
                 Room::Enough => self.hand_over(&mut landed, &times, &group, jobs, frames),
                 Room::Made => landed.redraw.extend(jobs),
                 Room::MadeIfAlone => {
@@ -203,9 +235,36 @@ impl Renderer {
         (never_begun, given_up)
     }
 
-    /// Grows the lists that were too short for a group that has landed.
-    fn make_room(&mut self, group: &FlyingGroup, frames: &[(FrameImage, GpuStats)]) -> Room {
+    /// Grows the lists that were too short for a group that has landed, or for the shadow maps that it uses.
+    fn make_all_room(
+        &mut self,
+        group: &FlyingGroup,
+        frames: &[(FrameImage, GpuStats)],
+        maps: &[GpuStats],
+    ) -> Room {
+        for stats in maps {
+            let room = match self.over_limit(stats) {
+                Some(error) => Room::None(error),
+                None if stats.sums_full != 0 => Room::None(EngineError::Internal(
+                    "too many splats over one pixel of a shadow map".to_owned(),
+                )),
+                None => self.make_room(group, stats, 1),
+            };
+            if !matches!(room, Room::Enough) {
+                group.spoil_maps();
+                return room;
+            }
+        }
+        if group.has_spoiled_maps() {
+            group.spoil_maps();
+            return Room::Made;
+        }
         let Some((_, stats)) = frames.first() else { return Room::Enough };
+        self.make_room(group, stats, frames.len())
+    }
+
+    /// Grows the lists that were too short for `frames` frames of a group.
+    fn make_room(&mut self, group: &FlyingGroup, stats: &GpuStats, frames: usize) -> Room {
         let too_many = |what, found, limit| {
             Room::None(EngineError::OverLimit {
                 what,
@@ -226,7 +285,7 @@ impl Renderer {
         if longest > group.large_capacity {
             self.scratch.grow_large(&self.gpu, longest);
             let limit = self.scratch.large_capacity();
-            return match frames.len() {
+            return match frames {
                 _ if limit >= longest => Room::Made,
                 0 | 1 => too_many("large triangles and splats in view", longest, limit),
                 _ => Room::MadeIfAlone,

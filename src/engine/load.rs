@@ -26,7 +26,7 @@ use crate::math::Bounds;
 use crate::memory::{Admission, Reservation};
 use crate::residency::model::{AssetModel, Deferred};
 use crate::residency::once::MadeOnce;
-use crate::scene::{AssetRef, Light, Scene};
+use crate::scene::{AssetRef, Scene};
 
 /// Reads a scene file or a bare asset and packs all that it draws.
 pub fn load(
@@ -147,9 +147,6 @@ fn scene_warnings(
             "splats end at {} standard deviations; estimated kernels close a surface from {CUTOFF} on",
             splats.cutoff * splats.width
         ));
-    }
-    if description.lights.iter().any(|light| matches!(light, Light::Sun { shadows: Some(_), .. })) {
-        warnings.push("lights ask for shadows, which this version does not draw".to_owned());
     }
     warnings
 }

@@ -195,6 +195,10 @@ pub fn build(
 /// Lines are sparse where their area is below this share of the square over the scene's longest side.
 const SPARSE_LINES: f64 = 0.25;
 
+fn casting_lights(model: &SceneModel) -> usize {
+    model.lights.iter().filter(|light| light.casts_shadows()).count()
+}
+
 fn facts(model: &SceneModel, bounds: &Bounds) -> SceneFacts {
     let counts = model.counts();
     let size = if bounds.is_empty() { DVec3::ZERO } else { bounds.max - bounds.min };
@@ -203,6 +207,7 @@ fn facts(model: &SceneModel, bounds: &Bounds) -> SceneFacts {
         counts,
         has_normals: model.assets.iter().any(|asset| asset.has_normals),
         lights: model.lights.len() as u32,
+        casting_lights: casting_lights(model) as u32,
         sparse_lines: counts.segments > 0
             && model.line_area() < SPARSE_LINES * size.max_element().powi(2),
         trees: false,
@@ -274,6 +279,7 @@ fn describe(
             .map(|(index, node)| node_name(node, index))
             .collect(),
         lights: model.lights.len(),
+        casting_lights: casting_lights(model),
         up: if model.up == DVec3::ZERO { DVec3::Y } else { model.up }.into(),
         up_because: description.up_because.clone(),
         warnings,

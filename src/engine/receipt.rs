@@ -144,7 +144,10 @@ impl PassReceipt {
             name: planned.pass.name(),
             ran: false,
             gpu_ns: None,
-            why: Some("the scene has nothing that it draws".to_owned()),
+            why: Some(match planned.pass {
+                Pass::ShadowMap => "the maps of an earlier frame are used again".to_owned(),
+                _ => "the scene has nothing that it draws".to_owned(),
+            }),
         });
         ran.chain(skipped).chain(idle).collect()
     }

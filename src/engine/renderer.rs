@@ -11,13 +11,18 @@ use super::EngineError;
 use super::frame_job::FrameJob;
 use super::group::groups;
 use super::pick;
+use super::resolved::Drawing;
 use crate::gpu::bind::BindCache;
 use crate::gpu::buffer::Buffer;
 use crate::gpu::readback::{Landing, Ring};
 use crate::gpu::timing::Timer;
 use crate::gpu::{Gpu, GpuError, GpuOptions};
-use crate::passes::{self, Context, FrameTask, PassSpan, Pipelines, Scratch, Uniforms};
-use crate::plan::Pass;
+use crate::math::View;
+use crate::passes::{
+    self, Context, FrameTask, MAP_WEIGHT, MapKey, PassSpan, Pipelines, Scratch, ShadowMaps,
+    Shadows, Uniforms,
+};
+use crate::plan::{Output, Pass};
 use crate::residency::layout::{GpuStats, MOST_VIEWS};
 use crate::residency::model::SceneModel;
 use crate::residency::{Residency, ResidencyError};
@@ -37,6 +42,7 @@ pub struct Renderer {
     pub(super) small_splat_px: u32,
     pub(super) large_units_limit: u32,
     pub(super) spoil: bool,
+    shadow_maps: ShadowMaps,
 }
 
 /// A submission on its way.
@@ -63,6 +69,8 @@ pub(super) struct FlyingGroup {
     /// For a pick: where each geometry's chunks lie in the chunk table.
     pub(super) chunk_ranges: Vec<Range<u32>>,
     pub(super) spans: Vec<PassSpan>,
+    /// The shadow maps that the frames use.
+    pub(super) shadows: Option<Shadows>,
     pub(super) large_capacity: u32,
     pub(super) entry_capacity: u32,
     pub(super) paint_capacity: u32,
@@ -118,6 +126,7 @@ impl Renderer {
             fault,
             large_units_limit,
             spoil: false,
+            shadow_maps: ShadowMaps::default(),
         })
     }
 
@@ -172,6 +181,7 @@ impl Renderer {
 
     /// Frees a scene.
     pub fn remove(&mut self, id: &str) {
+        self.shadow_maps.remove(id);
         self.residency.remove(&self.gpu, id);
         self.binds.borrow_mut().clear();
     }
@@ -181,6 +191,18 @@ impl Renderer {
     /// # Errors
     /// The whole batch, with the reason.
     pub fn submit(
+        &mut self,
+        jobs: Vec<Arc<FrameJob>>,
+    ) -> Result<InFlight, (Vec<Arc<FrameJob>>, EngineError)> {
+        let submitted = self.try_submit(jobs);
+        if submitted.is_err() {
+            // Maps that a failed submission reserved may be empty.
+            self.shadow_maps.clear();
+        }
+        submitted
+    }
+
+    fn try_submit(
         &mut self,
         jobs: Vec<Arc<FrameJob>>,
     ) -> Result<InFlight, (Vec<Arc<FrameJob>>, EngineError)> {
@@ -194,7 +216,14 @@ impl Renderer {
             .device
             .create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("batch") });
         let groups = groups(&jobs, |job| job.group_key(), |job| self.most_views(job));
-        let tasks: Vec<FrameTask> = groups.iter().map(|group| self.task(group)).collect();
+        let tasks: Vec<FrameTask> = groups
+            .iter()
+            .map(|group| {
+                let task = self.task(group);
+                let shadows = self.shadows(&task, group[0].drawing());
+                FrameTask { shadows, ..task }
+            })
+            .collect();
         let mut uniforms = Uniforms::default();
         let mut offsets = Vec::with_capacity(tasks.len());
         for task in &tasks {
@@ -205,6 +234,9 @@ impl Renderer {
                 ));
             };
             self.scratch.reserve(&self.gpu, scene, task);
+            for map in task.shadows.iter().flat_map(Shadows::drawn) {
+                self.scratch.reserve(&self.gpu, scene, map);
+            }
             offsets.push(uniforms.group(task, scene));
         }
         uniforms.write(&self.gpu, &mut self.scratch);
@@ -232,7 +264,8 @@ impl Renderer {
         let groups: Vec<FlyingGroup> = groups
             .into_iter()
             .zip(recorded)
-            .map(|(jobs, (landing, pixel_bytes, spans))| {
+            .zip(tasks)
+            .map(|((jobs, (landing, pixel_bytes, spans)), task)| {
                 landing.map();
                 let gpu_bytes = jobs.first().map_or(0, |job| job.frame.model.gpu_bytes());
                 let picking = jobs.first().filter(|job| !job.frame.picks.is_empty());
@@ -245,6 +278,7 @@ impl Renderer {
                     pixel_bytes,
                     chunk_ranges,
                     spans,
+                    shadows: task.shadows,
                     large_capacity: self.scratch.large_capacity(),
                     entry_capacity: self.scratch.entry_capacity(),
                     paint_capacity: self.scratch.paint_capacity(),
@@ -306,7 +340,40 @@ impl Renderer {
             entry_capacity: self.scratch.entry_capacity(),
             paint_capacity: self.scratch.paint_capacity(),
             paint_launches: self.scratch.paint_launches(),
+            shadows: None,
+            opaque_only: false,
         }
+    }
+
+    /// The shadow maps of frames, if their lights cast shadows.
+    fn shadows(&mut self, task: &FrameTask, drawing: &Drawing) -> Option<Shadows> {
+        let frames = drawing.shadows.as_ref()?;
+        let key = MapKey {
+            scene: task.model.id.clone(),
+            revision: task.model.uid,
+            plan: frames.plan.clone(),
+            reconstruction: frames.reconstruction,
+            accepted_px: drawing.settings.accepted_px(),
+            clip: task.clip,
+        };
+        let map = |view: &View| FrameTask {
+            views: vec![*view],
+            output: Output::Depth,
+            plan: frames.plan.clone(),
+            reconstruction: frames.reconstruction,
+            weight_one: MAP_WEIGHT,
+            accepted_px: drawing.settings.accepted_px(),
+            levels: false,
+            recolor: None,
+            edl: None,
+            parts: 1,
+            least_line_px: 0.0,
+            opaque_only: true,
+            ..task.clone()
+        };
+        let tasks = frames.views.iter().map(map).collect();
+        let (set, sources) = self.shadow_maps.get(&self.gpu, &self.binds, key, &frames.views);
+        Some(Shadows { tasks, set, sources })
     }
 
     fn record_group(
@@ -339,7 +406,9 @@ impl Renderer {
         };
         let (pixels, stats) =
             (u64::from(task.count()) * pixel_bytes, u64::from(task.count()) * STATS_BYTES);
-        let landing = self.ring.take(&self.gpu, pixels + stats);
+        let shadows = task.shadows.as_ref();
+        let counted = shadows.map_or(0, Shadows::stats_bytes);
+        let landing = self.ring.take(&self.gpu, pixels + stats + counted);
         let scratch = &self.scratch;
         let mut copy = |source: &Buffer, from: u64, start: u64, length: u64| {
             encoder.copy_buffer_to_buffer(source.raw(), from, landing.buffer(), start, length);
@@ -355,6 +424,9 @@ impl Renderer {
             copy(image, 0, 0, pixels);
         }
         copy(scratch.stats.buffer(), 0, pixels, stats);
+        if let Some(shadows) = shadows.filter(|_| counted > 0) {
+            copy(&shadows.set.stats, 0, pixels + stats, counted);
+        }
         Ok((landing, pixel_bytes, spans))
     }
 }

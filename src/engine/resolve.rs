@@ -312,7 +312,8 @@ fn choose_reconstruction(
     let decided = auto.map_or(asked, |choice| asked.decided(choice.reconstruct));
     let settings = Settings { projection: Some(view.projection), ..decided }
         .with_edl_decided(facts, request.output)
-        .with_line_width_decided(facts);
+        .with_line_width_decided(facts)
+        .with_shadow_maps_within(facts, frame_limits(state).0);
     let settings = match (&provisional, &grounds) {
         // Until there are kernels, discs close what splats will.
         (Some(_), Some(grounds)) => {
@@ -336,6 +337,9 @@ fn decide(
     let adapter = state.adapter();
     let Chosen { settings, auto, provisional } =
         choose_reconstruction(state, loaded, &request, &facts, &view);
+    // Disks reach beyond their samples.
+    let bounds =
+        loaded.extent.bounds.grown(f64::from(loaded.model.splats.cutoff) * loaded.extent.kernel);
     let way = |settings: &Settings, instead_because| {
         let adapter = AdapterFacts {
             atomics_64: adapter.atomics_64,
@@ -349,6 +353,8 @@ fn decide(
         };
         let facts = (&facts, &adapter);
         let drawing = Drawing::new(settings, reconstruction, facts, request.output, recolor, clip);
+        let lit = (&loaded.model.lights[..], &loaded.model.splats, &bounds);
+        let drawing = drawing.with_shadows(lit, &view, facts);
         Drawing { instead_because, ..drawing }
     };
     let reconstruction = Reconstruction::new(&settings, &loaded.model.splats);

@@ -13,15 +13,17 @@ use super::FrameRequest;
 use super::loaded::Loaded;
 use super::queue::cost::CostKey;
 use super::receipt::CameraReceipt;
-use crate::math::View;
+use crate::math::{Bounds, View};
 use crate::plan::auto::Choice;
+use crate::plan::shadow::light_views;
 use crate::plan::{
-    AdapterFacts, Background, FrameFacts, FramePlan, Given, Output, Reconstruction, SceneFacts,
-    Settings, plan,
+    AdapterFacts, Background, FrameFacts, FramePlan, Given, Output, Pass, Reconstruction,
+    SceneFacts, Settings, Shadows, plan,
 };
 use crate::residency::model::{Extent, SceneModel};
 use crate::scene::clipping::ClipRegion;
 use crate::scene::recolor::Recolor;
+use crate::scene::{Light, Splats};
 
 /// A checked request, with everything that was decided for it.
 #[derive(Clone)]
@@ -65,6 +67,17 @@ pub struct Drawing {
     /// Value that colours surfaces in place of their own colours.
     pub recolor: Option<Recolor>,
     pub clip: Option<ClipRegion>,
+    /// The frames of depths that suns see, where they cast shadows.
+    pub shadows: Option<ShadowFrames>,
+}
+
+/// How shadow maps are drawn.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ShadowFrames {
+    /// Views of the maps of all suns that cast shadows; see [`light_views`].
+    pub views: Vec<View>,
+    pub plan: FramePlan,
+    pub reconstruction: Reconstruction,
 }
 
 impl ResolvedFrame {
@@ -109,7 +122,8 @@ impl Drawing {
         // Without samples it has no effect how they are drawn, but the other frames of a film draw them likewise.
         let settings = Settings::from(applied).drawn_like(&settled);
         let (edl, is_averaged) = (settings.eye_dome(), settings.parts() > 1);
-        let frame = FrameFacts { output, reconstruction, edl, is_averaged };
+        let shadows = settings.shadows;
+        let frame = FrameFacts { output, reconstruction, edl, shadows, is_averaged };
         Drawing {
             applied,
             settings,
@@ -118,7 +132,33 @@ impl Drawing {
             reconstruction,
             recolor: recolor(&settings),
             clip,
+            shadows: None,
         }
+    }
+
+    /// The drawing with its shadow maps, where the plan has any: `lights` and `splats` are those of the scene, `bounds` hold all of it, and `view` is the
+    /// frame's.
+    #[must_use]
+    pub fn with_shadows(
+        self,
+        (lights, splats, bounds): (&[Light], &Splats, &Bounds),
+        view: &View,
+        (scene, adapter): (&SceneFacts, &AdapterFacts),
+    ) -> Drawing {
+        if !self.plan.runs(Pass::ShadowMap) {
+            return self;
+        }
+        let views = light_views(lights, bounds, view, self.settings.shadow_px.get());
+        // Suns see closed surfaces, whatever the frame draws samples as.
+        let reconstruction = Reconstruction::new(&Settings::exact(), splats);
+        let frame = FrameFacts {
+            output: Output::Depth,
+            reconstruction,
+            shadows: Shadows::Off,
+            ..FrameFacts::default()
+        };
+        let plan = plan(scene, &frame, adapter);
+        Drawing { shadows: Some(ShadowFrames { views, plan, reconstruction }), ..self }
     }
 
     /// Linear RGB and straight alpha of pixels that show nothing.

@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use super::plain::{Faces, sphere, srgb, tree};
-use super::scenes::{DAYLIGHT, cameras, path, poses_about, subject, vector};
+use super::scenes::{SUNSHINE, cameras, path, poses_about, subject, vector};
 use super::{Generated, GeneratedMesh, GeneratedScene};
 use crate::math::Bounds;
 
@@ -157,7 +157,7 @@ pub fn glasshouse(name: &str, length: f64, seed: u64) -> GeneratedScene {
         max: DVec3::new(HALF, RIDGE, 0.5) * length,
     };
     let json = format!(
-        "{{\n  \"pointillist\": 1,\n  \"name\": \"{name}\",\n  \"assets\": {{\n{}\n  }},\n  \"nodes\": [\n{}\n  ],\n{DAYLIGHT},\n  \"background\": \"#b9cbdd\",\n{},\n{},\n{}\n}}\n",
+        "{{\n  \"pointillist\": 1,\n  \"name\": \"{name}\",\n  \"assets\": {{\n{}\n  }},\n  \"nodes\": [\n{}\n  ],\n{SUNSHINE},\n  \"background\": \"#b9cbdd\",\n{},\n{},\n{}\n}}\n",
         listed.join(",\n"),
         nodes.join(",\n"),
         subject(&shown),

@@ -69,6 +69,14 @@ pub(super) fn path(name: &str, keys: &[(f64, DVec3, DVec3)]) -> String {
     )
 }
 
+/// Light for scenes that stand on a ground.
+pub(super) const SUNSHINE: &str = r##"  "lights": [
+    { "kind": "sun", "direction": [-0.5, -1, -0.7], "color": "#fff2dd", "intensity": 0.85, "shadows": true },
+    { "kind": "headlight", "intensity": 0.15 },
+    { "kind": "ambient", "color": "#dce6f5", "intensity": 0.25 }
+  ]"##;
+
+/// Light for a single solid.
 pub(super) const DAYLIGHT: &str = r##"  "lights": [
     { "kind": "sun", "direction": [-0.5, -1, -0.7], "color": "#fff2dd", "intensity": 0.85 },
     { "kind": "headlight", "intensity": 0.15 },
@@ -216,7 +224,7 @@ pub fn amphora(name: &str, amphora: Generated, height: f64) -> GeneratedScene {
         around(6.0, 0.0, 2.1),
     ];
     let json = format!(
-        "{{\n  \"pointillist\": 1,\n  \"name\": \"{name}\",\n  \"assets\": {{\n    \"amphora\": {{ \"file\": \"{mesh}\" }},\n    \"floor\": {{ \"file\": \"{floor}\" }}\n  }},\n  \"nodes\": [\n    {{ \"name\": \"amphora\", \"asset\": \"amphora\" }},\n    {{ \"name\": \"floor\", \"asset\": \"floor\" }}\n  ],\n{DAYLIGHT},\n  \"background\": \"#aebccb\",\n{},\n{},\n{}\n}}\n",
+        "{{\n  \"pointillist\": 1,\n  \"name\": \"{name}\",\n  \"assets\": {{\n    \"amphora\": {{ \"file\": \"{mesh}\" }},\n    \"floor\": {{ \"file\": \"{floor}\" }}\n  }},\n  \"nodes\": [\n    {{ \"name\": \"amphora\", \"asset\": \"amphora\" }},\n    {{ \"name\": \"floor\", \"asset\": \"floor\" }}\n  ],\n{SUNSHINE},\n  \"background\": \"#aebccb\",\n{},\n{},\n{}\n}}\n",
         subject(&bounds_of(&amphora)),
         cameras(&poses),
         path("turn", &keys)
@@ -393,7 +401,7 @@ pub fn plaza(name: &str, count: u64, seed: u64, progress: &Progress) -> Generate
   "nodes": [
     {{ "name": "square", "prototype": "row", "repeat": {{ "grid": [1, 1, {count}], "step": [0, 0, {PITCH_M}] }} }}
   ],
-{DAYLIGHT},
+{SUNSHINE},
   "background": "#b9cbdd",
 {},
 {},

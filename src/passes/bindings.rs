@@ -13,6 +13,7 @@ pub struct Names<'a> {
     pub residency: &'a Residency,
     pub scene: &'a ResidentScene,
     pub uniforms: &'a GroupUniforms,
+    pub shadow_maps: Option<&'a Buffer>,
     /// The segment that a pass draws, if it draws one.
     pub segment: Option<usize>,
     /// The level of the pyramid that a pass makes, or the digit that it sorts by.
@@ -24,7 +25,7 @@ pub struct Names<'a> {
 impl<'a> Names<'a> {
     /// The buffer that a shader means by `name`, and its dynamic offset.
     pub fn find(&self, name: &str) -> Option<(Binding<'a>, u32)> {
-        let Names { scratch, residency, scene, uniforms, segment, level, window } = *self;
+        let Names { scratch, residency, scene, uniforms, segment, level, window, .. } = *self;
         let buffer: &Buffer = match name {
             "frames" => {
                 let window = Binding::Window(scratch.uniforms.buffer(), VIEWS_WINDOW);
@@ -112,6 +113,7 @@ impl<'a> Names<'a> {
                     _ => return None,
                 }
             }
+            "shadow_maps" => self.shadow_maps?,
             "lights" => &scene.lights,
             "fields" => &scene.field_table,
             // Shaders read no values of pages that have none.

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::{DMat3, DVec3, Vec3};
 
+use super::shadow::{Shadows, sun_maps};
 use super::slabs::Slabs;
 use crate::math::View;
 use crate::plan::detail::point_error_px;
@@ -66,6 +67,10 @@ pub struct FrameTask {
     pub paint_capacity: u32,
     /// Launches in which they are painted.
     pub paint_launches: u32,
+    /// Shadow maps, where suns cast shadows.
+    pub shadows: Option<Shadows>,
+    /// Translucent surfaces are left out: they hide no sun.
+    pub opaque_only: bool,
 }
 
 /// Beyond it a few triangles would take all the rounds of loops that lavapipe lets a thread have: 65535.
@@ -118,6 +123,17 @@ impl FrameTask {
     /// Whether translucent surfaces are laid over the image, in the order of their depths.
     pub fn composites(&self) -> bool {
         self.plan.runs(Pass::CompositeLayers)
+    }
+
+    /// Number of shadow maps of each sun that casts shadows; 0 where none does.
+    pub fn maps_per_sun(&self) -> u32 {
+        let suns = self.model.lights.iter().filter(|light| light.casts_shadows()).count();
+        self.shadows.as_ref().map_or(0, |shadows| (shadows.tasks.len() / suns.max(1)) as u32)
+    }
+
+    /// Whether surfaces that are drawn before translucent ones are opaque.
+    pub fn draws_opaque_first(&self) -> bool {
+        self.opaque_only || self.composites()
     }
 
     /// Number of pixels of all views, or of their parts.
@@ -261,6 +277,7 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         paint_capacity: task.paint_capacity,
         unused: [0; 3],
         clips: task.clip.map_or_else(Default::default, |clip| clip_records(&clip, view)),
+        sun_maps: sun_maps(task, view, focus),
     }
 }
 

@@ -4,12 +4,13 @@
 //! its queue; there, [`Prime`] also dispatches each pipeline over no workgroups, with empty buffers bound.
 
 use super::pipelines::{Pipelines, Variant};
+use super::uniforms::VIEWS_WINDOW;
 use crate::gpu::Gpu;
 use crate::gpu::pipeline::{BindingSlot, ComputePipeline};
 use crate::gpu::shader::ShaderError;
 
-/// No fixed part of a binding is longer, in bytes.
-const EMPTY_BYTES: u64 = 16 << 10;
+/// No fixed part of a binding is longer, in bytes: the longest are the records of views.
+const EMPTY_BYTES: u64 = VIEWS_WINDOW;
 
 /// Buffers of pipelines that are launched over nothing, one for each way of access.
 pub struct Prime<'a> {

@@ -4,7 +4,7 @@
 use super::frame::FrameTask;
 use super::recorder::{Context, PassSpan, Recorder};
 use super::uniforms::GroupUniforms;
-use super::{project, reconstruct, resolve, select};
+use super::{project, reconstruct, resolve, select, shadow};
 use crate::gpu::shader::ShaderError;
 use crate::plan::{Pass, Step, pass_table};
 use crate::residency::ResidentScene;

@@ -173,7 +173,7 @@ impl<'a, 'c> Recorder<'a, 'c> {
     /// The scene's segments of some kinds of geometry that the stage draws. Where translucent surfaces are laid over the image, no other
     /// stage draws them.
     pub fn segments(&self, kinds: &[GeometryKind]) -> Vec<Segment> {
-        let (composites, windowed) = (self.task.composites(), self.stage.is_windowed());
+        let (composites, windowed) = (self.task.draws_opaque_first(), self.stage.is_windowed());
         // Instances that are translucent beside opaque ones stand on pages of both.
         let overrides = self.scene.looks.translucent_overrides;
         let is_drawn =
@@ -189,13 +189,18 @@ impl<'a, 'c> Recorder<'a, 'c> {
 
     /// Whether the pass asks triangles for their alpha at each pixel, which costs a CPU adapter several times the rest.
     pub fn alpha_cut(&self) -> bool {
-        let is_opaque = self.task.composites() && !self.stage.is_windowed();
+        let is_opaque = self.task.draws_opaque_first() && !self.stage.is_windowed();
         if is_opaque { self.scene.cut_outs } else { self.scene.alpha_cut }
     }
 
     /// How often a stage is repeated.
     pub fn repeats(&self, stage: Stage) -> usize {
         if stage.is_windowed() { self.uniforms.windows.len() } else { 1 }
+    }
+
+    /// The records of the frames that are shadow maps.
+    pub fn shadow_uniforms(&self) -> &'a [GroupUniforms] {
+        &self.uniforms.shadows
     }
 
     /// Number of pixels of the window.
@@ -390,6 +395,7 @@ impl<'a, 'c> Recorder<'a, 'c> {
             residency: self.context.residency,
             scene: self.scene,
             uniforms: self.uniforms,
+            shadow_maps: self.task.shadows.as_ref().map(|shadows| &shadows.set.maps),
             segment,
             level: self.level,
             window: (self.window, layer),

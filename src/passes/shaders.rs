@@ -97,6 +97,8 @@ fragments![
     "shared/vote_alone",
     "shared/normals",
     "shared/phong",
+    "shared/shadow_none",
+    "shared/shadow_maps",
     "shared/kept",
     "shared/kept_color",
     "shared/output",
@@ -261,6 +263,8 @@ pub struct Choices {
     pub normal_sums: bool,
     /// `LIT`: splats are lit one by one.
     pub lit: bool,
+    /// `SHADOWS`: lights cast shadows.
+    pub shadows: bool,
     /// `ENTRIES`, `LIST`, `MEMBERS`: the frame lists its own entries, from point trees.
     pub trees: bool,
     /// `NODES`: samples are nodes of point trees.
@@ -285,6 +289,7 @@ impl Default for Choices {
             wide_sums: false,
             normal_sums: false,
             lit: false,
+            shadows: false,
             trees: false,
             nodes: false,
             fields: false,
@@ -296,7 +301,7 @@ impl Default for Choices {
 }
 
 impl Choices {
-    fn aliases(&self) -> [(&'static str, &'static str); 15] {
+    fn aliases(&self) -> [(&'static str, &'static str); 16] {
         let either = |choice, yes, no| if choice { yes } else { no };
         [
             ("VOTE", either(self.subgroups, "shared/vote_subgroup", "shared/vote_alone")),
@@ -313,6 +318,7 @@ impl Choices {
                 },
             ),
             ("LIT", either(self.lit, "shared/lit_splat", "shared/lit_none")),
+            ("SHADOWS", either(self.shadows, "shared/shadow_maps", "shared/shadow_none")),
             ("ENTRIES", either(self.trees, "shared/entries_tree", "shared/entries_full")),
             ("LIST", either(self.trees, "shared/list_tree", "shared/list_full")),
             ("MEMBERS", either(self.trees, "shared/members_listed", "shared/members_all")),

@@ -5,6 +5,7 @@ use std::ops::Range;
 use super::frame::{FrameTask, frame_record};
 use super::levels::Levels;
 use super::scratch::Scratch;
+use super::shadow::Shadows;
 use super::windows;
 use crate::gpu::Gpu;
 use crate::plan::Pass;
@@ -34,6 +35,8 @@ pub struct GroupUniforms {
     pub levels: Vec<u32>,
     pub digits: Vec<u32>,
     pub windows: Vec<(Range<u32>, Vec<u32>)>,
+    /// Those of each shadow map that is drawn before.
+    pub shadows: Vec<GroupUniforms>,
 }
 
 impl Uniforms {
@@ -69,7 +72,9 @@ impl Uniforms {
             (window, layers)
         };
         let windows = windows.into_iter().map(&mut place).collect();
-        GroupUniforms { views, segments, levels, digits, windows }
+        let maps = task.shadows.iter().flat_map(Shadows::drawn);
+        let shadows = maps.map(|map| self.group(map, scene)).collect();
+        GroupUniforms { views, segments, levels, digits, windows, shadows }
     }
 
     pub fn write(&self, gpu: &Gpu, scratch: &mut Scratch) {

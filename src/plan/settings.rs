@@ -18,6 +18,7 @@ use serde_json::{Map, Value};
 mod declaration;
 mod finer;
 mod numbers;
+mod shadows;
 mod text;
 mod trades;
 mod used;
@@ -29,6 +30,7 @@ pub use declaration::{Choice, Rule, Setting, SettingError, SettingKind};
 pub use numbers::{
     ColorBound, EdlRadius, EdlStrength, LineWidth, MaxError, PointSize, PointSizePx,
 };
+pub use shadows::{ShadowPx, Shadows};
 pub use trades::{Extent, Trade, TradeOff, trade_offs};
 pub use used::{UsedSettings, UsedSplats};
 pub use values::{
@@ -81,6 +83,8 @@ const CLIPPED: Rule = Rule::new("clip_boxes", &[], "there are no clip boxes");
 /// Samples in the scene, or those of meshes whose detail is chosen.
 const SAMPLES: Rule = Rule::new("samples", &["some"], "");
 const SEGMENTS: Rule = Rule::new("segments", &["some"], "");
+const SHADOWS: Rule = Rule::new("shadows", &["on"], "shadows are off");
+const CASTING: Rule = Rule::new("casting_lights", &["some"], "");
 const EDL: Rule = Rule::new("edl", &["on", "auto"], "eye-dome lighting is off");
 const SURELY_SPLATS: Rule = Rule::new("reconstruct", &["splats", "fuzzy", "painted"], "");
 const THREE_PASSES: Rule = Rule::new("reconstruct", &["splats"], "");
@@ -258,6 +262,15 @@ settings! {
         label: "Light", kind: SettingKind::scenes::<Shading>(), needs: [PASSES],
         useful_with: [SAMPLES, THREE_PASSES, COLORS, Rule::new("blend", &["weighted"], ""), Rule::new("lights", &["some"], "")], trades: Trade::variant()
     }
+    /// Whether suns cast the shadows that the scene asks for.
+    shadows: Shadows => Shadows {
+        label: "Shadows", kind: SettingKind::own::<Shadows>(), needs: [], useful_with: [COLORS, CASTING], trades: Trade::variant()
+    }
+    /// Side in pixels of the square that a sun's shadow maps take; the next smaller one where the maps of all suns would have more pixels than a
+    /// frame may have. Smaller pixels of a map give sharper edges.
+    shadow_px: ShadowPx => ShadowPx {
+        label: "Shadow map", kind: SettingKind::own::<ShadowPx>(), needs: [SHADOWS], useful_with: [COLORS, CASTING], trades: Trade::variant()
+    }
     /// Weights of the samples around a gap that pull-push fills.
     pull_push_weights: PullPushWeights => PullPushWeights {
         label: "Gap weights", kind: SettingKind::own::<PullPushWeights>(), needs: [PULL_PUSH], useful_with: [SAMPLES], trades: Trade::variant()
@@ -310,6 +323,9 @@ fn read<T: DeserializeOwned>(name: &'static str, value: Value) -> Result<Option<
                 if text.parse::<f64>().is_ok() =>
             {
                 return unusable(name, format!("\"{text}\" is a text, not a number"));
+            }
+            (Value::Number(number), Some(SettingKind::Choice { .. })) => {
+                return unusable(name, format!("{number} is a number, not a text"));
             }
             (Value::String(text), _) => text,
             (other, _) => other.to_string(),
@@ -486,6 +502,7 @@ impl Settings {
         known.insert("samples".to_owned(), some(scene.counts.samples).into());
         known.insert("segments".to_owned(), some(scene.counts.segments).into());
         known.insert("lights".to_owned(), some(scene.lights.into()).into());
+        known.insert("casting_lights".to_owned(), some(scene.casting_lights.into()).into());
         known.insert("output".to_owned(), serde_json::json!(output));
         let is_open = |rule: &Rule| known.get(rule.of).is_none_or(Value::is_null);
         kept(&known, |setting| {

@@ -22,6 +22,7 @@ use crate::bake::pack::GeometryKind;
 macro_rules! pass_table {
     ($reader:ident) => {
         $reader! {
+            ShadowMap            Fill    shadow/shadow_map             ""    [Shadows]           Frame     [NOT_COLOR NO_CASTER WITHOUT_SHADOWS];
             Clear                Fill    select/clear                  ""    [Select]            Frame     [];
             CullGroups           Compute select/cull_groups            ""    [Select]            Frame     [FULL_DETAIL];
             ListGroups           Compute select/list_groups            ""    [Select]            Frame     [FULL_DETAIL];
@@ -93,6 +94,8 @@ pub(crate) use pass_table;
 /// Part of a frame. Stages follow each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
+    /// Draws the scene as the suns see it. The other stages are those of such a frame as well.
+    Shadows,
     /// Selects the visible chunks, and computes the map from each chunk to the image.
     Select,
     /// Draws everything into the visibility buffer. With occlusion culling, the stage repeats in turns.
@@ -120,7 +123,8 @@ pub enum Stage {
 }
 
 impl Stage {
-    pub const ALL: [Stage; 12] = [
+    pub const ALL: [Stage; 13] = [
+        Stage::Shadows,
         Stage::Select,
         Stage::Project,
         Stage::Ids,
@@ -228,6 +232,8 @@ reasons! {
     NO_EFFECT: "no effect reads neighbouring pixels, and no translucent surface the depths of blended splats",
         |f| f.frame.edl.is_none() && !f.composites_over_splats();
     NOT_COLOR: "the output is not color", |f| f.frame.output != super::Output::Color;
+    NO_CASTER: "no light casts shadows", |f| f.scene.casting_lights == 0;
+    WITHOUT_SHADOWS: "shadows are off", |f| f.frame.shadows == super::Shadows::Off;
     NOT_AVERAGED: "pixels have one part", |f| !f.frame.is_averaged;
     OPAQUE_SCENE: "the scene has no translucent triangles", |f| !f.scene.translucent;
     IDS: "the output is id", |f| f.frame.output == super::Output::Id;

@@ -2,6 +2,7 @@
 
 use bytemuck::{Pod, Zeroable};
 
+use crate::scene::MOST_CASTING_LIGHTS;
 use crate::scene::clipping::MOST_BOXES;
 
 /// `Instance` of `shared/scene.wgsl`.
@@ -218,7 +219,8 @@ pub struct GpuTexture {
 pub struct GpuLight {
     pub kind: u32,
     pub range: f32,
-    pub unused: [u32; 2],
+    pub map: u32,
+    pub unused: u32,
     pub color: [f32; 4],
     pub place_hi: [f32; 4],
     pub place_lo: [f32; 4],
@@ -240,6 +242,19 @@ pub struct GpuClipBox {
     pub y: [f32; 4],
     pub z: [f32; 4],
     pub high: [f32; 4],
+}
+
+/// A sun's shadow map; see `SunMap` in `shaders/shared/frame.wgsl`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct GpuSunMap {
+    pub x: [f32; 4],
+    pub y: [f32; 4],
+    pub depth: [f32; 4],
+    pub pixel: f32,
+    pub spread: f32,
+    pub side: u32,
+    pub first: u32,
 }
 
 /// `Frame` of `shared/frame.wgsl`.
@@ -296,6 +311,7 @@ pub struct GpuFrame {
     pub paint_capacity: u32,
     pub unused: [u32; 3],
     pub clips: [GpuClipBox; MOST_BOXES],
+    pub sun_maps: [GpuSunMap; MOST_CASTING_LIGHTS],
 }
 
 /// An f64 as the sum of two f32: 48 bits of mantissa.

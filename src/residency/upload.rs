@@ -68,6 +68,16 @@ fn gpu_override(spec: &MaterialSpec) -> GpuMaterial {
     out
 }
 
+fn gpu_lights(lights: &[Light]) -> Vec<GpuLight> {
+    let mut maps = 0;
+    let numbered = |light: &Light| {
+        maps += u32::from(light.casts_shadows());
+        let map = if light.casts_shadows() { maps } else { 0 };
+        GpuLight { map, ..gpu_light(light) }
+    };
+    lights.iter().map(numbered).collect()
+}
+
 fn gpu_light(light: &Light) -> GpuLight {
     let rgb = |c: [f32; 3]| [c[0], c[1], c[2], 0.0];
     match *light {
@@ -325,7 +335,7 @@ impl Residency {
             }
         };
         self.instances_written += listed.written;
-        let lights: Vec<GpuLight> = model.lights.iter().map(gpu_light).collect();
+        let lights = gpu_lights(&model.lights);
         let lights_buffer = Buffer::new(
             gpu,
             "lights",

@@ -77,6 +77,10 @@ fn load(studio: &Studio) {
         &json!({
             "assets": { "pane": { "file": "pane.obj" } },
             "nodes": [{ "asset": "pane", "repeat": { "grid": [8, 2, 10], "step": [1.5, 1.5, 1.5] } }],
+            "lights": [
+                { "kind": "ambient", "intensity": 0.3 },
+                { "kind": "sun", "direction": [0.2, -1, 0.3], "shadows": true },
+            ],
         }),
     );
     // Kernels that reach far beyond their centres, under a wide filter, in stretched and mirrored instances.

@@ -51,7 +51,7 @@ fn compare(scene: &str, cameras: &[&str]) {
 }
 
 fn compare_with(scene: &str, cameras: &[&str], settings: Settings, suffix: &str) {
-    let case = Case::committed(scene);
+    let case = Case::as_shipped(scene);
     for camera in cameras {
         let name = format!("{scene}-{camera}{suffix}");
         let mut camera: Camera = case.reference.camera(camera).unwrap();
@@ -135,7 +135,7 @@ fn level_of_detail() {
 #[test]
 fn a_single_pass() {
     // Adapters without 64-bit atomics draw three passes instead.
-    let case = Case::committed("town");
+    let case = Case::as_shipped("town");
     let view = case.view("square", WIDTH, HEIGHT);
     let frame = case.draw_wide(&view, Settings::drawn_as(Reconstruct::Fuzzy));
     assert_eq!(frame.receipt.settings.instead_because, None);
@@ -146,7 +146,7 @@ fn a_single_pass() {
 fn painted_splats() {
     let painted = Settings::drawn_as(Reconstruct::Painted);
     for (scene, camera, lod) in [("town", "square", Lod::Full), ("plaza", "walk", Lod::Spt)] {
-        let case = Case::committed(scene);
+        let case = Case::as_shipped(scene);
         let view = case.view(camera, WIDTH, HEIGHT);
         let frame = case.draw_wide(&view, Settings { lod, ..painted });
         assert_eq!(frame.receipt.settings.instead_because, None);

@@ -31,6 +31,7 @@ mod random;
 mod real;
 mod samples;
 mod scenes;
+mod shadows;
 mod splats;
 mod splats_figures;
 mod stage;

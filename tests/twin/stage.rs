@@ -10,7 +10,7 @@ use pointillist::assets::ReadOptions;
 use pointillist::encode::ImageFormat;
 use pointillist::engine::{Engine, EngineConfig, FrameRequest, NodePatch, Pose, Receipt};
 use pointillist::math::{Camera, Lens, View};
-use pointillist::plan::{Edl, LineWidth, Output, Pass, Reconstruct, Settings};
+use pointillist::plan::{Edl, LineWidth, Output, Pass, Reconstruct, Settings, Shadows};
 use pointillist::scene::SceneLimits;
 use pointillist::scene::fields::SceneField;
 use serde_json::Value;
@@ -31,7 +31,13 @@ static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
     let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes");
     for entry in std::fs::read_dir(from).unwrap() {
         let file = entry.unwrap().path();
-        if file.is_file() {
+        if file.extension().is_some_and(|kind| kind == "json") {
+            let text = std::fs::read_to_string(&file).unwrap();
+            let name = file.file_name().unwrap().to_str().unwrap();
+            // The oracle's rays to a sun would take minutes; `shadows` has scenes of its own.
+            std::fs::write(folder.join(name), text.replace(r#", "shadows": true"#, "")).unwrap();
+            std::fs::write(folder.join(format!("{AS_SHIPPED}{name}")), text).unwrap();
+        } else if file.is_file() {
             let to = folder.join(file.file_name().unwrap());
             if std::fs::hard_link(&file, &to).is_err() {
                 std::fs::copy(&file, &to).unwrap();
@@ -41,12 +47,15 @@ static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
     folder
 });
 
+/// Begins the names of scene files in the folder that are as they are committed; the others have no shadows.
+const AS_SHIPPED: &str = "shipped-";
+
 fn engine(force_32_bit: bool, rasterise: bool) -> Engine {
     let (draw_hidden, like_a_gpu) = (rasterise, force_32_bit || rasterise);
     let rasterise = Some(rasterise);
     let config = EngineConfig::new(&*FOLDER);
-    // All engines count the same splats and triangles as large.
-    let large_px = like_a_gpu.then_some(32);
+    // All engines count the same splats and triangles as large, on every adapter.
+    let large_px = Some(32);
     let config = EngineConfig {
         force_32_bit,
         rasterise,
@@ -57,6 +66,11 @@ fn engine(force_32_bit: bool, rasterise: bool) -> Engine {
         ..config
     };
     Engine::start(config).unwrap()
+}
+
+/// The engine with 64-bit atomics.
+pub fn wide_engine() -> &'static Engine {
+    &WIDE
 }
 
 fn engines() -> [&'static Engine; 3] {
@@ -137,7 +151,12 @@ impl Case {
         Self::load(name, &path)
     }
 
-    /// Loads a committed scene.
+    /// Loads a committed scene as users see it.
+    pub fn as_shipped(name: &str) -> Case {
+        Self::committed(&format!("{AS_SHIPPED}{name}"))
+    }
+
+    /// Loads a committed scene, without shadows.
     pub fn committed(name: &str) -> Case {
         static LOADED: AtomicU32 = AtomicU32::new(0);
         let number = LOADED.fetch_add(1, Ordering::Relaxed);
@@ -164,7 +183,7 @@ impl Case {
 
     /// Draws the frame with both engines, whose images must be equal bit by bit.
     pub fn draw(&self, view: &View) -> Frames {
-        self.draw_with(view, Settings::drawn_as(Reconstruct::Points))
+        self.draw_with(view, points())
     }
 
     /// As [`Case::draw`], with settings.
@@ -194,7 +213,7 @@ impl Case {
 
     /// Draws the frame with every engine: with 64-bit atomics, without, and with the rasteriser and hidden chunks.
     pub fn each(&self, view: &View) -> [Frames; 3] {
-        self.each_with(view, Settings::drawn_as(Reconstruct::Points))
+        self.each_with(view, points())
     }
 
     /// As [`Case::each`], with settings.
@@ -207,8 +226,7 @@ impl Case {
         let frames = self.draw(view);
         verdict::judge(&self.id, &self.reference, view, &frames, tolerance);
         if frames.receipt.triangles.rasterised.is_some_and(|large| large > 0) {
-            let rasterised =
-                self::frames(&RASTERISING, &self.id, view, Settings::drawn_as(Reconstruct::Points));
+            let rasterised = self::frames(&RASTERISING, &self.id, view, points());
             let ran = |frames: &Frames, passes: [Pass; 2]| passes.iter().any(|&p| frames.ran(p));
             assert!(ran(&rasterised, [Pass::RasteriseTriangles, Pass::RasteriseTrianglesLayers]));
             assert!(ran(&frames, [Pass::WalkTriangles, Pass::WalkTrianglesLayers]));
@@ -241,6 +259,11 @@ impl Frames {
     pub fn ran(&self, pass: Pass) -> bool {
         self.receipt.passes.iter().any(|line| line.name == pass.name() && line.ran)
     }
+}
+
+/// Samples as points, under suns that cast no shadows: the oracle casts them only if a test requests it.
+fn points() -> Settings {
+    Settings { shadows: Shadows::Off, ..Settings::drawn_as(Reconstruct::Points) }
 }
 
 /// A view of 160 × 120 with y up.

@@ -40,6 +40,11 @@ impl Shared {
             SurveyError::Stopped | SurveyError::Engine(EngineError::ShuttingDown) => {
                 State::Cancelled
             }
+            SurveyError::Engine(EngineError::Internal(cause)) => {
+                tracing::error!(scene, %cause, "accuracy cannot be measured");
+                let told = "a frame could not be drawn; the server's log has the cause";
+                State::Failed(Failure::Other(told.to_owned()))
+            }
             error => State::Failed(Failure::Other(error.to_string())),
         })
     }

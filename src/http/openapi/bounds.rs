@@ -250,13 +250,23 @@ fn of_comparisons(schemas: &mut Value) {
     let properties = &mut schemas["CompareRequest"]["properties"];
     let format = json!([{ "type": "string", "enum": formats }, { "type": "null" }]);
     narrow(&mut properties["format"], json!({ "oneOf": format }));
-    let side = |description: &Value, kinds: Value| {
-        json!({
-            "type": kinds, "description": description, "properties": settings, "additionalProperties": false,
-        })
-    };
-    properties["a"] = side(&properties["a"]["description"], json!("object"));
-    properties["b"] = side(&properties["b"]["description"], json!(["object", "null"]));
+    for side in ["a", "b"] {
+        refer(&mut properties[side], "#/components/schemas/ComparedSettings");
+    }
+    schemas["ComparedSettings"] = json!({
+        "type": "object", "description": "Settings of one side of a comparison.", "properties": settings,
+        "additionalProperties": false,
+    });
+}
+
+/// Replaces the reference in a schema, or in one of its alternatives.
+fn refer(schema: &mut Value, target: &str) {
+    if let Some(reference) = schema.get_mut("$ref") {
+        *reference = json!(target);
+    }
+    for other in schema.get_mut("oneOf").and_then(Value::as_array_mut).into_iter().flatten() {
+        refer(other, target);
+    }
 }
 
 /// Schema of a job's path: a name, or the path itself.

@@ -8,7 +8,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     // Threads that cannot vote would keep account of more rounds than they take.
     let lanes = if recorder.context.gpu.subgroups { recorder.lanes() } else { ("LANES", 64) };
     let mut constants = vec![lanes];
-    if recorder.task.composites() && recorder.scene.looks.translucent_overrides {
+    if recorder.task.draws_opaque_first() && recorder.scene.looks.translucent_overrides {
         constants.push(("SORT", if recorder.stage.is_windowed() { 2 } else { 1 }));
     }
     recorder.compute(Call {

@@ -97,6 +97,7 @@ fn choices(recorder: &Recorder) -> Choices {
         wide_sums: recorder.context.gpu.atomic_sums_64,
         normal_sums: recorder.task.is_deferred(),
         lit: is_lit(recorder),
+        shadows: is_lit(recorder) && recorder.task.shadows.is_some(),
         nodes: is_tree(recorder, segment),
         fields: recorder.task.shows_field(),
         ..Choices::default()
@@ -105,10 +106,9 @@ fn choices(recorder: &Recorder) -> Choices {
 
 fn constants(recorder: &Recorder, walked: bool) -> Constants {
     let segment = recorder.segment;
-    let (looks, lights) = (recorder.scene.looks, recorder.scene.light_count);
     let mut constants = vec![
         ("OUTPUT", output_number(recorder.task.output)),
-        ("OVERRIDES", u32::from(looks.overrides)),
+        ("OVERRIDES", u32::from(recorder.scene.looks.overrides)),
         ("DEFERRED", u32::from(recorder.task.is_deferred())),
     ];
     match recorder.task.reconstruction {
@@ -119,7 +119,7 @@ fn constants(recorder: &Recorder, walked: bool) -> Constants {
         _ => constants.push(("CROWDED", u32::from(recorder.scene.sample_count >= SUMS_ROOM))),
     }
     if is_lit(recorder) {
-        constants.extend(super::resolve::light_constants(looks, lights));
+        constants.extend(super::resolve::light_constants(recorder));
     }
     constants.extend(splat_constants(&recorder.task.reconstruction, walked));
     constants.extend(node_constants(recorder, segment));

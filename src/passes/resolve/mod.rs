@@ -17,7 +17,6 @@ use super::pipelines::Constants;
 use super::recorder::{Launch, Recorder};
 use super::shaders::Choices;
 use crate::plan::Pass;
-use crate::residency::Looks;
 use crate::residency::layout::FEW_LIGHTS;
 use crate::scene::recolor::Recolor;
 
@@ -31,20 +30,26 @@ pub fn tiles(recorder: &Recorder) -> Launch {
 }
 
 /// Overrides of `shared/phong` and of what asks pixels or splats for their materials.
-pub fn light_constants(looks: Looks, lights: u32) -> Constants {
-    vec![
+pub fn light_constants(recorder: &Recorder) -> Constants {
+    let (looks, lights) = (recorder.scene.looks, recorder.scene.light_count);
+    let mut constants = vec![
         ("SPECULAR", u32::from(looks.specular)),
         ("POINT_LIGHTS", u32::from(looks.point_lights)),
         ("MATERIALS", u32::from(looks.overrides || looks.specular || looks.unlit)),
         ("FEW_LIGHTS", if lights > FEW_LIGHTS { 0 } else { lights }),
-    ]
+    ];
+    if let maps @ 1.. = recorder.task.maps_per_sun() {
+        constants.push(("SUN_MAPS", maps));
+    }
+    constants
 }
 
 /// Fragments of a resolve pass: surfaces are kept if a later pass writes the output.
 fn choices(recorder: &Recorder) -> Choices {
     let layers = recorder.stage.is_windowed();
     let kept = !layers && recorder.task.plan.runs(Pass::WriteOutput);
-    Choices { kept, layers, ..Choices::default() }
+    let shadows = recorder.task.shadows.is_some();
+    Choices { kept, layers, shadows, ..Choices::default() }
 }
 
 /// Override of the value that colours surfaces, where one does.
@@ -67,7 +72,7 @@ fn output_constants(recorder: &Recorder) -> Constants {
         ("OVERRIDES", u32::from(scene.looks.overrides)),
     ];
     if is_lit {
-        constants.extend(light_constants(scene.looks, scene.light_count));
+        constants.extend(light_constants(recorder));
     }
     constants
 }

@@ -11,7 +11,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let mut constants = constants(recorder);
     // Thin lines are lit here even where a later pass lights everything else.
     if choices(recorder).kept && recorder.task.plan.lights_pixels {
-        constants.extend(light_constants(recorder.scene.looks, recorder.scene.light_count));
+        constants.extend(light_constants(recorder));
     }
     for segment in segments {
         recorder.compute(Call {

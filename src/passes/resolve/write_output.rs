@@ -12,7 +12,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
         constants.push(("EDL", 0));
     }
     recorder.compute(Call {
-        choices: Choices::default(),
+        choices: Choices { shadows: recorder.task.shadows.is_some(), ..Choices::default() },
         constants,
         segments: &[None],
         launch: tiles(recorder),

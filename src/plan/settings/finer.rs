@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use super::{Antialias, Background, Given, Reconstruct, Settings, declared};
+use super::{Antialias, Background, Given, Reconstruct, Settings, ShadowPx, declared};
 
 impl Given {
     /// Settings of a reference for frames with these: [`Settings::exact`] in all that trades accuracy for time, and these in the rest.
@@ -14,15 +14,16 @@ impl Given {
         }
         let settings = Settings::from(given).decided(Reconstruct::Splats);
         // Settings that went only with those that were removed are removed, too.
-        Settings::from(settings.applied())
+        let shadow_px = Settings::exact().shadow_px;
+        Settings { shadow_px, ..Settings::from(settings.applied()) }
     }
 }
 
 impl Settings {
-    /// Full detail with samples as splats, and no pixel averaged.
+    /// Full detail with samples as splats and the largest shadow maps, and no pixel averaged.
     #[must_use]
     pub fn exact() -> Settings {
-        Settings::drawn_as(Reconstruct::Splats)
+        Settings { shadow_px: ShadowPx::Side4096, ..Settings::drawn_as(Reconstruct::Splats) }
     }
 
     /// The settings for a frame with `parts` pixels along each side of one of this frame's: lengths in pixels are multiplied. With

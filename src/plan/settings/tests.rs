@@ -40,7 +40,7 @@ fn other_value(setting: &Setting) -> Given {
 #[test]
 fn every_setting_has_a_say_in_the_canonical_form() {
     let counts = Counts { samples: 1, segments: 1, ..Counts::default() };
-    let scene = SceneFacts { counts, lights: 1, ..SceneFacts::default() };
+    let scene = SceneFacts { counts, lights: 1, casting_lights: 1, ..SceneFacts::default() };
     for setting in declared() {
         let other = other_value(setting);
         let mut without = other;
@@ -73,7 +73,8 @@ fn declarations_are_complete() {
                 // Any text will do.
                 let is_text = matches!(kind, Some(SettingKind::Text { .. }));
                 let is_fact =
-                    ["output", "samples", "segments", "lights", "fields"].contains(&rule.of);
+                    ["output", "samples", "segments", "lights", "casting_lights", "fields"]
+                        .contains(&rule.of);
                 assert!(is_text || is_fact, "{}", rule.of);
                 assert!(!is_text || rule.is.is_empty(), "{}", rule.of);
                 continue;

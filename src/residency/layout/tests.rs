@@ -94,6 +94,7 @@ fn records_match_the_shaders() {
         include_str!("../../../shaders/shared/frame.wgsl"),
         &[
             mirror!("ClipBox", GpuClipBox, x, y, z, high),
+            mirror!("SunMap", GpuSunMap, x, y, depth, pixel, spread, side, first),
             mirror!(
                 "Frame",
                 GpuFrame,
@@ -145,7 +146,8 @@ fn records_match_the_shaders() {
                 field_count,
                 line_radius,
                 paint_capacity,
-                clips
+                clips,
+                sun_maps
             ),
         ],
     );
@@ -200,8 +202,8 @@ fn lights_and_textures_match() {
         vec![
             std::mem::offset_of!(GpuLight, kind),
             std::mem::offset_of!(GpuLight, range),
+            std::mem::offset_of!(GpuLight, map),
             std::mem::offset_of!(GpuLight, unused),
-            std::mem::offset_of!(GpuLight, unused) + 4,
             std::mem::offset_of!(GpuLight, color),
             std::mem::offset_of!(GpuLight, place_hi),
             std::mem::offset_of!(GpuLight, place_lo),

@@ -1,0 +1,208 @@
+//! Shadow maps: depths of the scene as its suns see it, which the passes that compute light compare places with.
+//!
+//! A map is an ordinary frame of depths, with a plan of its own. Maps depend on no pixel of the frames that use them: neighbouring poses share them, and
+//! [`ShadowMaps`] keeps those that were drawn last.
+
+pub mod shadow_map;
+
+use std::cell::RefCell;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use super::frame::FrameTask;
+use crate::gpu::Gpu;
+use crate::gpu::bind::BindCache;
+use crate::gpu::buffer::Buffer;
+use crate::math::View;
+use crate::plan::{FramePlan, Reconstruction};
+use crate::residency::layout::{GpuStats, GpuSunMap};
+use crate::scene::clipping::ClipRegion;
+use crate::scene::{Light, MOST_CASTING_LIGHTS};
+
+/// Weight of a splat of a map where its kernel is 1: sums of depths have room for 32 times as many splats as those of colours.
+pub const MAP_WEIGHT: f32 = 1024.0;
+const STATS_BYTES: u64 = size_of::<GpuStats>() as u64;
+/// Bytes of the maps that are kept.
+const KEPT_BYTES: u64 = 256 << 20;
+
+/// The maps of a frame.
+#[derive(Clone)]
+pub struct Shadows {
+    /// A task for each map.
+    pub tasks: Vec<FrameTask>,
+    pub set: Arc<MapSet>,
+    /// Where the maps come from; none where the set has them.
+    pub sources: Vec<Source>,
+}
+
+/// Where a map of a new set comes from.
+#[derive(Clone)]
+pub enum Source {
+    Drawn,
+    /// Another set has it, from this byte on.
+    Copied(Arc<MapSet>, u64),
+}
+
+impl Source {
+    pub fn is_drawn(&self) -> bool {
+        matches!(self, Source::Drawn)
+    }
+}
+
+impl Shadows {
+    /// The tasks of maps that are still to be drawn.
+    pub fn drawn(&self) -> impl Iterator<Item = &FrameTask> {
+        let with_source = self.tasks.iter().zip(&self.sources);
+        with_source.filter(|(_, source)| source.is_drawn()).map(|(task, _)| task)
+    }
+
+    /// Bytes of the counters of those maps.
+    pub fn stats_bytes(&self) -> u64 {
+        self.drawn().count() as u64 * STATS_BYTES
+    }
+}
+
+/// All that the depths of maps depend on besides their views.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MapKey {
+    pub scene: String,
+    /// Identifies the scene's revision among all of the process.
+    pub revision: u64,
+    pub plan: FramePlan,
+    pub reconstruction: Reconstruction,
+    pub accepted_px: f32,
+    pub clip: Option<ClipRegion>,
+}
+
+/// The maps of all suns, one behind the other, and what drawing them counted.
+pub struct MapSet {
+    pub maps: Buffer,
+    pub stats: Buffer,
+    /// Some list was too short while they were drawn.
+    is_spoiled: AtomicBool,
+}
+
+impl MapSet {
+    pub fn spoil(&self) {
+        self.is_spoiled.store(true, Ordering::Relaxed);
+    }
+
+    pub fn is_spoiled(&self) -> bool {
+        self.is_spoiled.load(Ordering::Relaxed)
+    }
+}
+
+struct Kept {
+    key: MapKey,
+    views: Vec<View>,
+    set: Arc<MapSet>,
+}
+
+/// The maps that frames used last, the latest last.
+#[derive(Default)]
+pub struct ShadowMaps {
+    kept: Vec<Kept>,
+}
+
+impl ShadowMaps {
+    /// The maps of some views, and where those come from that are still to be made. Empties `binds` where maps are dropped,
+    /// because bind groups keep buffers alive.
+    pub fn get(
+        &mut self,
+        gpu: &Gpu,
+        binds: &RefCell<BindCache>,
+        key: MapKey,
+        views: &[View],
+    ) -> (Arc<MapSet>, Vec<Source>) {
+        let before = self.kept.len();
+        self.kept.retain(|kept| !kept.set.is_spoiled());
+        let mut drops = self.kept.len() < before;
+        let is_whole = |kept: &Kept| kept.key == key && kept.views == views;
+        if let Some(place) = self.kept.iter().position(is_whole) {
+            let found = self.kept.remove(place);
+            let set = found.set.clone();
+            self.kept.push(found);
+            if drops {
+                binds.borrow_mut().clear();
+            }
+            return (set, Vec::new());
+        }
+        let sources = views.iter().map(|view| self.source(&key, view)).collect();
+        let set = Arc::new(MapSet {
+            maps: Buffer::storage(gpu, "shadow_maps", bytes(views)),
+            stats: Buffer::storage(gpu, "shadow_stats", views.len() as u64 * STATS_BYTES),
+            is_spoiled: AtomicBool::new(false),
+        });
+        self.kept.push(Kept { key, views: views.to_vec(), set: set.clone() });
+        let all = |kept: &[Kept]| -> u64 { kept.iter().map(|kept| kept.set.maps.size()).sum() };
+        while self.kept.len() > 1 && all(&self.kept) > KEPT_BYTES {
+            self.kept.remove(0);
+            drops = true;
+        }
+        if drops {
+            binds.borrow_mut().clear();
+        }
+        (set, sources)
+    }
+
+    fn source(&self, key: &MapKey, view: &View) -> Source {
+        let place = |kept: &Kept| {
+            let number = kept.views.iter().position(|other| other == view)?;
+            (kept.key == *key)
+                .then(|| Source::Copied(kept.set.clone(), bytes(&kept.views[..number])))
+        };
+        self.kept.iter().rev().find_map(place).unwrap_or(Source::Drawn)
+    }
+
+    /// Drops the maps of a scene.
+    pub fn remove(&mut self, scene: &str) {
+        self.kept.retain(|kept| kept.key.scene != scene);
+    }
+
+    pub fn clear(&mut self) {
+        self.kept.clear();
+    }
+}
+
+fn bytes(views: &[View]) -> u64 {
+    views.iter().map(pixels).sum::<u64>() * 4
+}
+
+fn pixels(view: &View) -> u64 {
+    u64::from(view.width) * u64::from(view.height)
+}
+
+/// The records of a view's maps.
+pub fn sun_maps(task: &FrameTask, view: &View, focus: f64) -> [GpuSunMap; MOST_CASTING_LIGHTS] {
+    let mut records = [GpuSunMap::default(); MOST_CASTING_LIGHTS];
+    let Some(shadows) = &task.shadows else { return records };
+    let angle_deg = |light: &Light| match *light {
+        Light::Sun { shadows, .. } => shadows,
+        _ => None,
+    };
+    let maps = task.maps_per_sun() as usize;
+    let lights = task.model.lights.iter();
+    let angles = lights.filter_map(angle_deg).flat_map(|angle| std::iter::repeat_n(angle, maps));
+    let axes = view.view_from_world.transpose();
+    let origin = view.eye - axes.z_axis * focus;
+    let mut first = 0;
+    for ((record, map), angle) in records.iter_mut().zip(&shadows.tasks).zip(angles) {
+        let Some(map) = map.views.first() else { continue };
+        let axes = map.view_from_world.transpose();
+        let offset = origin - map.eye;
+        let row = |axis: glam::DVec3, scale: f64, add: f64| {
+            (axis * scale).extend(axis.dot(offset) * scale + add).as_vec4().to_array()
+        };
+        *record = GpuSunMap {
+            x: row(axes.x_axis, map.focal_px.x, map.principal_px.x),
+            y: row(-axes.y_axis, map.focal_px.y, map.principal_px.y),
+            depth: row(-axes.z_axis, 1.0, 0.0),
+            pixel: (1.0 / map.focal_px.x) as f32,
+            spread: (0.5 * angle).to_radians().tan() as f32,
+            side: map.width,
+            first,
+        };
+        first += pixels(map) as u32;
+    }
+    records
+}
