@@ -60,6 +60,8 @@ pub struct AccuracyRequest {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum AccuracyStateName {
+    /// There are no results, and nothing was begun.
+    NotMeasured,
     Running,
     /// `results` are those of the latest measurement.
     Done,
@@ -100,29 +102,30 @@ pub struct AccuracyState {
 }
 
 impl AccuracyState {
-    fn new(scene: &str, view: &View) -> Result<AccuracyState, Problem> {
+    fn new(scene: &str, view: Option<&View>) -> Result<AccuracyState, Problem> {
         let (mut progress, mut error) = (None, None);
-        let state = match &view.state {
-            SurveyState::Running(Progress { done, total, what }) => {
+        let state = match view.map(|view| &view.state) {
+            None => AccuracyStateName::NotMeasured,
+            Some(SurveyState::Running(Progress { done, total, what })) => {
                 let (done, total, what) = (*done, *total, what.clone());
                 progress = Some(AccuracyProgress { done, total, what });
                 AccuracyStateName::Running
             }
-            SurveyState::Done => AccuracyStateName::Done,
-            SurveyState::Cancelled => AccuracyStateName::Cancelled,
-            SurveyState::Failed(failure) => {
+            Some(SurveyState::Done) => AccuracyStateName::Done,
+            Some(SurveyState::Cancelled) => AccuracyStateName::Cancelled,
+            Some(SurveyState::Failed(failure)) => {
                 error = Some(failed(failure));
                 AccuracyStateName::Failed
             }
         };
-        let kept = view.kept.as_ref();
+        let kept = view.and_then(|view| view.kept.as_ref());
         let results = kept.map(|kept| kept.value()).transpose().map_err(Problem::internal)?;
         Ok(AccuracyState {
             scene: scene.to_owned(),
             state,
             progress,
             error,
-            stale: view.is_stale,
+            stale: view.and_then(|view| view.is_stale),
             revision: kept.map(|kept| kept.revision),
             since_ms: kept.map(|kept| kept.since_ms),
             results,
@@ -276,8 +279,7 @@ async fn on_thread<T: Send + 'static>(
 }
 
 fn state(app: &App, id: &str) -> Result<AccuracyState, Problem> {
-    let view = app.surveys.view(id).ok_or_else(|| not_measured(id))?;
-    AccuracyState::new(id, &view)
+    AccuracyState::new(id, app.surveys.view(id).as_ref())
 }
 
 fn not_measured(id: &str) -> Problem {

@@ -57,14 +57,11 @@ export class Accuracy {
     clearTimeout(this.timer);
     const { id } = this.view.scene() ?? {};
     if (!id) return;
-    let known = null;
     try {
-      known = await getJson(sceneUrl(id, '/accuracy'));
-    } catch (problem) {
-      // 404: it was never measured. Other problems are those of the connection, which says so itself.
-      if (problem.status !== 404) return;
+      this.came(id, await getJson(sceneUrl(id, '/accuracy')));
+    } catch {
+      // Problems are those of the connection, which says so itself, or of a scene that was deleted.
     }
-    this.came(id, known);
   }
 
   came(id, known) {
@@ -212,7 +209,7 @@ function fitting([w, h], limits) {
 }
 
 function inWords(known) {
-  if (!known) return 'Not measured yet. A measurement draws this scene with the settings that trade accuracy for time; other frames come first.';
+  if (!known || known.state === 'not_measured') return 'Not measured yet. A measurement draws this scene with the settings that trade accuracy for time; other frames come first.';
   const { state, progress, error, stale, results } = known;
   if (state === 'running') return progress.total > 0 ? `Step ${progress.done} of ${progress.total}: ${progress.what}` : progress.what || 'Beginning …';
   const ended = state === 'failed' ? `The measurement failed: ${error.detail}. ` : state === 'cancelled' ? 'The measurement was cancelled. ' : '';

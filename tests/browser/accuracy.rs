@@ -25,13 +25,6 @@ fn measured(daemon: &Daemon) {
     }
 }
 
-/// Errors of the console, without those that the browser writes for the answer 404 of a scene that was never measured.
-fn errors(browser: &Browser) -> Vec<String> {
-    let mut errors = browser.console_errors();
-    errors.retain(|line| !(line.contains("/accuracy") && line.contains("404")));
-    errors
-}
-
 /// Opens the panel and waits for the curve.
 fn curve(browser: &Browser) {
     browser.script("document.getElementById('accuracy').open = true; document.getElementById('accuracy').scrollIntoView()");
@@ -117,7 +110,7 @@ fn a_point_of_the_curve_draws_the_view() {
         PATIENCE,
         "return document.getElementById('accuracy-said').textContent.includes('has changed since')",
     );
-    assert_eq!(errors(&browser), Vec::<String>::new());
+    assert_eq!(browser.console_errors(), Vec::<String>::new());
 }
 
 #[test]
@@ -175,5 +168,5 @@ fn a_wipe_shows_two_frames_of_the_view() {
     browser.wait_for("the wipe", PATIENCE, IS_OPEN);
     browser.script("document.getElementById('fit').click()");
     assert_eq!(browser.script("return viewer.accuracy.wipe.isOpen"), false);
-    assert_eq!(errors(&browser), Vec::<String>::new());
+    assert_eq!(browser.console_errors(), Vec::<String>::new());
 }

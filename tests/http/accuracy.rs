@@ -76,11 +76,7 @@ fn begin_after(client: &Client, body: &Value) {
 fn a_measurement_is_kept_and_becomes_stale() {
     let daemon = Daemon::start(&[]);
     let client = daemon.client();
-    let reply = client.get(PLACE);
-    assert_eq!(
-        (reply.status, reply.problem()["type"].as_str()),
-        (404, Some(&*format!("{STATE}not-measured")))
-    );
+    assert_eq!(client.get(PLACE).json()["state"], "not_measured");
     let begun = begin(&client, &small());
     assert_eq!((&begun["results"], &begun["stale"]), (&Value::Null, &Value::Null));
     let second = client.post_json(PLACE, &small());
@@ -201,9 +197,14 @@ fn a_measurement_starves_nobody_and_can_be_cancelled() {
     // Deleting cancels, too, and leaves nothing.
     begin_after(&client, &endless());
     assert_eq!(client.send("DELETE", PLACE, &[], None).status, 204);
-    assert_eq!(client.get(PLACE).status, 404);
-    assert_eq!(client.send("DELETE", PLACE, &[], None).status, 404);
-    assert_eq!(client.send("POST", &format!("{PLACE}/cancel"), &[], None).status, 404);
+    assert_eq!(client.get(PLACE).json()["state"], "not_measured");
+    let gone = client.send("DELETE", PLACE, &[], None);
+    assert_eq!(
+        (gone.status, &gone.problem()["type"]),
+        (404, &json!(format!("{STATE}not-measured")))
+    );
+    let idle = client.send("POST", &format!("{PLACE}/cancel"), &[], None);
+    assert_eq!((idle.status, &idle.json()["state"]), (200, &json!("not_measured")));
     // A daemon that stops does not wait for a measurement.
     begin_after(&client, &endless());
     let mut daemon = daemon;
@@ -238,5 +239,5 @@ fn what_cannot_be_measured_is_refused_at_once() {
     );
     assert_eq!(client.post_json("/v1/scenes/none/accuracy", &json!({})).status, 404);
     assert_eq!(client.get("/v1/scenes/none/accuracy").status, 404);
-    assert_eq!(client.get(PLACE).status, 404, "nothing was begun");
+    assert_eq!(client.get(PLACE).json()["state"], "not_measured", "nothing was begun");
 }
