@@ -289,8 +289,10 @@ fn not_measured(id: &str) -> Problem {
 
 /// Reads and checks a body.
 fn wanted(value: Value) -> Result<Wanted, Problem> {
-    let keys = value.as_object().into_iter().flat_map(|object| object.keys());
-    if let Some(name) = keys.into_iter().find(|name| !KEYS.contains(&name.as_str())) {
+    let Some(object) = value.as_object() else {
+        return Err(Problem::new(Kind::BadBody, "the body is no JSON object").accepted("{}"));
+    };
+    if let Some(name) = object.keys().find(|name| !KEYS.contains(&name.as_str())) {
         return Err(unknown_name(name, &KEYS, &SYNONYMS));
     }
     let request: AccuracyRequest = serde_path_to_error::deserialize(value).map_err(|error| {
@@ -369,6 +371,11 @@ mod tests {
             let problem = wanted(body.clone()).unwrap_err();
             let found = (problem.status(), problem.parameter.as_deref());
             assert_eq!(found, (422, Some(parameter)), "{body}: {}", problem.detail);
+        }
+        // A list would do for a structure without required members.
+        for body in [json!([]), json!([null, null]), json!("quick")] {
+            let problem = wanted(body.clone()).unwrap_err();
+            assert_eq!((problem.status(), problem.parameter), (422, None), "{body}");
         }
     }
 }

@@ -235,6 +235,36 @@ def follow_change(body):
         body["visible"] = True
 
 
+def follow_comparison(body):
+    """Gives each side settings that go together, and the first side one thing to be compared with."""
+    names = {setting["name"] for setting in SETTINGS}
+    for name in [name for name in body if name in names]:
+        del body[name]
+    follow_frame(body, is_query=False)
+    shrink(body)
+    for side in ("a", "b"):
+        settings = body.get(side)
+        if isinstance(settings, dict):
+            for name in [name for name, value in settings.items() if value is None]:
+                del settings[name]
+            settings.pop("projection", None)
+            follow_settings(settings)
+    if "b" in body:
+        body.pop("against", None)
+    else:
+        body["against"] = "reference"
+
+
+def follow_measurement(body):
+    """Cameras that the scene has, and little work."""
+    for name in [name for name, value in body.items() if value is None]:
+        del body[name]
+    shrink(body)
+    body.update(quick=True, repeats=1)
+    if "cameras" in body:
+        body["cameras"] = ["front"]
+
+
 def spare(label):
     """Makes a scene or a job that a case may delete, and returns its id. Deletions of those that other cases need get it instead."""
     if label.split()[1].startswith("/v1/scenes"):
@@ -274,11 +304,11 @@ def map_case(context, case):
         # Links lead to resources made by earlier cases, but also to those that all other cases need.
         if label.startswith("DELETE") and case.path_parameters.get("id") in ("grid", "1"):
             case.path_parameters["id"] = spare(label)
-        # Only the run's own scene has a path and cameras; uploaded scenes have none.
+        # Only the run's own scene has a path, cameras and a node for clip boxes; uploaded scenes have none.
         parts = [part for part in (case.query, case.body) if isinstance(part, dict)]
         poses = [pose for part in parts for pose in part.get("poses") or [] if isinstance(pose, dict)]
         names = {name for part in parts + poses for name in part}
-        if "/mjpeg" in label or names & {"path", "camera"}:
+        if "/mjpeg" in label or "/compare" in label or names & {"path", "camera", "cameras"}:
             if "id" in (case.path_parameters or {}) and label.split()[1].startswith("/v1/scenes"):
                 case.path_parameters["id"] = "grid"
     elif case.path_parameters and is_positive(case, ParameterLocation.PATH):
@@ -323,6 +353,10 @@ def map_case(context, case):
                 case.body.pop("y", None)
             else:
                 within(case.body)
+        elif label == "POST /v1/scenes/{id}/compare":
+            follow_comparison(case.body)
+        elif label == "POST /v1/scenes/{id}/accuracy":
+            follow_measurement(case.body)
         elif label == "POST /v1/scenes/{id}/frames":
             shrink(case.body)
             for pose in [case.body, *case.body["poses"]]:
