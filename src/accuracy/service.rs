@@ -43,7 +43,7 @@ const MOST_KEPT: usize = 64;
 /// Host memory that a survey takes for each pixel of its frames: the images of a reference, and what the metrics compute.
 const BYTES_PER_PIXEL: u64 = 768;
 
-/// What is measured.
+/// Scope of a survey.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Wanted {
     /// Few settings and one pose, unless cameras are named.
@@ -98,7 +98,7 @@ pub enum State {
     Cancelled,
 }
 
-/// What is known of a scene.
+/// State and results of the latest surveys of a scene.
 #[derive(Clone, Debug)]
 pub struct View {
     pub state: State,
@@ -107,7 +107,7 @@ pub struct View {
     pub kept: Option<Arc<Kept>>,
 }
 
-/// What becomes of the running survey.
+/// Decision about the running survey.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Fate {
     Wanted,

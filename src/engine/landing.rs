@@ -58,10 +58,10 @@ struct Times {
     stamps: Option<Vec<u64>>,
 }
 
-/// What a group has written.
+/// Frames and counters that a group has written.
 struct LandedGroup {
     frames: Vec<(FrameImage, GpuStats)>,
-    /// What drawing each of its shadow maps counted.
+    /// Counters of each of its shadow maps that was drawn.
     maps: Vec<GpuStats>,
 }
 

@@ -37,7 +37,7 @@ const KEYS: [&str; 5] = ["quick", "cameras", "w", "h", "repeats"];
 const SYNONYMS: [(&str, &str); 4] =
     [("camera", "cameras"), ("width", "w"), ("height", "h"), ("repeat", "repeats")];
 
-/// What is measured.
+/// Scope of a measurement.
 #[derive(Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct AccuracyRequest {
@@ -80,7 +80,7 @@ pub struct AccuracyProgress {
     what: String,
 }
 
-/// What is known of a scene's accuracy and its price.
+/// State and results of a scene's accuracy measurement.
 #[derive(Serialize, ToSchema)]
 pub struct AccuracyState {
     scene: String,
@@ -143,7 +143,7 @@ fn failed(failure: &Failure) -> Problem {
     }
 }
 
-/// What accuracy costs in time for this scene, on this machine: the results of the last measurement, and the state of the latest one.
+/// The results of the last finished measurement of this scene's accuracy and its cost in time, and the state of the latest one.
 ///
 /// Results stay until they are measured again, or the scene is deleted. They are `stale` once the scene, the adapter or the build has changed.
 #[utoipa::path(

@@ -19,11 +19,8 @@ const DEEPER: f64 = 5.0;
 /// A sun's maps have at most `side` × `side` pixels in all. Sizes and places are rounded, so that frames from neighbouring poses share
 /// maps, and their pixels do not crawl along the edges of shadows.
 pub fn light_views(lights: &[Light], bounds: &Bounds, view: &View, side: u32) -> Vec<View> {
-    let direction = |light: &Light| match *light {
-        Light::Sun { direction, shadows: Some(_), .. } => Some(direction),
-        _ => None,
-    };
-    let suns: Vec<DVec3> = lights.iter().filter_map(direction).collect();
+    let casting = lights.iter().filter_map(Light::casting);
+    let suns: Vec<DVec3> = casting.map(|(direction, _)| direction).collect();
     let ranges = depth_ranges(bounds, view, MOST_CASTING_LIGHTS / suns.len().max(1));
     let side = if ranges.len() == 1 { side } else { side / 2 };
     let maps = |&sun: &DVec3| {

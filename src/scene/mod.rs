@@ -198,8 +198,18 @@ impl Light {
         [Light::Headlight { color: [0.63; 3] }, Light::Ambient { color: [0.07; 3] }]
     }
 
+    /// Direction and angular diameter in degrees of a sun that casts shadows.
+    pub fn casting(&self) -> Option<(DVec3, f64)> {
+        match *self {
+            Light::Sun { direction, shadows, .. } => {
+                shadows.map(|angle_deg| (direction, angle_deg))
+            }
+            _ => None,
+        }
+    }
+
     pub fn casts_shadows(&self) -> bool {
-        matches!(self, Light::Sun { shadows: Some(_), .. })
+        self.casting().is_some()
     }
 }
 

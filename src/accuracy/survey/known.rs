@@ -1,4 +1,4 @@
-//! What the journal of a survey has already. Pure.
+//! Measurements that the journal of a survey has already. Pure.
 
 use std::collections::{BTreeMap, HashSet};
 
@@ -7,10 +7,10 @@ use crate::accuracy::journal::Record;
 use crate::accuracy::sweep::{Draw, Row, owners};
 use crate::plan::Given;
 
-/// What the journal has.
+/// Measurements that the journal has.
 #[derive(Debug, Default)]
 pub struct Known {
-    /// What the rows of a pose were drawn with; `None` for those that were not drawn for themselves.
+    /// Settings that the rows of a pose were drawn with; `None` for those that were not drawn for themselves.
     drawn: BTreeMap<(String, String), Option<Given>>,
     timed: HashSet<(String, String, u32)>,
 }

@@ -34,7 +34,7 @@ pub fn wanted(corners: [DVec3; 3], spacing: f64) -> f64 {
     (longest / (2.0 * height.max(spacing))).floor().clamp(1.0, MOST)
 }
 
-/// So many disks that together cover a triangle.
+/// `count` disks that together cover a triangle.
 pub fn disks(corners: [DVec3; 3], count: usize) -> impl Iterator<Item = Disk> {
     let [a, b, c] = corners;
     let sides = [[a, b, c], [b, c, a], [c, a, b]];

@@ -114,17 +114,12 @@ impl ShadowMaps {
         key: MapKey,
         views: &[View],
     ) -> (Arc<MapSet>, Vec<Source>) {
-        let before = self.kept.len();
-        self.kept.retain(|kept| !kept.set.is_spoiled());
-        let mut drops = self.kept.len() < before;
         let is_whole = |kept: &Kept| kept.key == key && kept.views == views;
+        self.drop_if(binds, |kept| kept.set.is_spoiled());
         if let Some(place) = self.kept.iter().position(is_whole) {
             let found = self.kept.remove(place);
             let set = found.set.clone();
             self.kept.push(found);
-            if drops {
-                binds.borrow_mut().clear();
-            }
             return (set, Vec::new());
         }
         let sources = views.iter().map(|view| self.source(&key, view)).collect();
@@ -134,15 +129,22 @@ impl ShadowMaps {
             is_spoiled: AtomicBool::new(false),
         });
         self.kept.push(Kept { key, views: views.to_vec(), set: set.clone() });
-        let all = |kept: &[Kept]| -> u64 { kept.iter().map(|kept| kept.set.maps.size()).sum() };
-        while self.kept.len() > 1 && all(&self.kept) > KEPT_BYTES {
-            self.kept.remove(0);
-            drops = true;
-        }
-        if drops {
+        let mut excess: u64 = self.kept.iter().map(|kept| kept.set.maps.size()).sum();
+        // The oldest go first, and the new set stays.
+        self.drop_if(binds, |kept| {
+            let drops = excess > KEPT_BYTES && !Arc::ptr_eq(&kept.set, &set);
+            excess -= if drops { kept.set.maps.size() } else { 0 };
+            drops
+        });
+        (set, sources)
+    }
+
+    fn drop_if(&mut self, binds: &RefCell<BindCache>, mut drops: impl FnMut(&Kept) -> bool) {
+        let before = self.kept.len();
+        self.kept.retain(|kept| !drops(kept));
+        if self.kept.len() < before {
             binds.borrow_mut().clear();
         }
-        (set, sources)
     }
 
     fn source(&self, key: &MapKey, view: &View) -> Source {
@@ -176,13 +178,11 @@ fn pixels(view: &View) -> u64 {
 pub fn sun_maps(task: &FrameTask, view: &View, focus: f64) -> [GpuSunMap; MOST_CASTING_LIGHTS] {
     let mut records = [GpuSunMap::default(); MOST_CASTING_LIGHTS];
     let Some(shadows) = &task.shadows else { return records };
-    let angle_deg = |light: &Light| match *light {
-        Light::Sun { shadows, .. } => shadows,
-        _ => None,
-    };
     let maps = task.maps_per_sun() as usize;
     let lights = task.model.lights.iter();
-    let angles = lights.filter_map(angle_deg).flat_map(|angle| std::iter::repeat_n(angle, maps));
+    let angles = lights
+        .filter_map(Light::casting)
+        .flat_map(|(_, angle_deg)| std::iter::repeat_n(angle_deg, maps));
     let axes = view.view_from_world.transpose();
     let origin = view.eye - axes.z_axis * focus;
     let mut first = 0;
