@@ -11,10 +11,12 @@
 //!                           engine    frame
 //! ```
 //! [`truth`] holds the frame that errors are measured against, [`mod@difference`] the errors of one image, and [`service`] the surveys of a daemon.
+//! [`planning`] measures many settings at many poses for the planner ([`crate::plan::planner`]).
 mod date;
 pub mod difference;
 pub mod journal;
 pub mod metrics;
+pub mod planning;
 pub mod poses;
 pub mod reference;
 pub mod report;

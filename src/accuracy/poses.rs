@@ -81,6 +81,40 @@ pub fn around(view: &Camera) -> Vec<NamedPose> {
     views.map(|(number, (name, camera))| NamedPose::new(number, name, camera)).collect()
 }
 
+/// Range of the distances of [`spread`] views, as shares of the default view's.
+const SPREAD: [f64; 2] = [0.25, 4.0];
+/// Range of their heights over the horizon, in degrees.
+const HEIGHTS_DEG: [f64; 2] = [5.0, 65.0];
+/// Farthest that their targets are moved, as a share of the default view's distance.
+const ASIDE: f64 = 0.2;
+
+/// Views in all directions and distances around a scene, the same ones every time: from `first` on, so many of the additive recurrence of
+/// Roberts (2018), which fills the space of views evenly.
+pub fn spread(view: &Camera, first: usize, count: usize) -> Vec<NamedPose> {
+    // The real root of x⁶ = x + 1; its powers are the steps.
+    let root: f64 = 1.134_724_138_401_519_5;
+    let offset = view.eye - view.target;
+    let up = view.up.normalize_or(DVec3::Y);
+    let level = offset.reject_from_normalized(up).normalize_or(up.any_orthonormal_vector());
+    let views = (first..first + count).map(|number| {
+        let at = |axis: i32| (0.5 + (number as f64 + 1.0) / root.powi(axis)).fract();
+        let within = |[low, high]: [f64; 2], share: f64| low + share * (high - low);
+        let turn = DQuat::from_axis_angle(up, at(1) * std::f64::consts::TAU);
+        let height = within(HEIGHTS_DEG, at(2)).to_radians();
+        let share = within(SPREAD.map(f64::ln), at(3)).exp();
+        let towards = turn * (level * height.cos() + up * height.sin());
+        let aside = |share: f64| (2.0 * share - 1.0) * ASIDE * offset.length();
+        let target = view.target + level * aside(at(4)) + up.cross(level) * aside(at(5));
+        let lens = match view.lens {
+            Lens::Orthographic { height } => Lens::Orthographic { height: height * share },
+            perspective => perspective,
+        };
+        let camera = Camera { eye: target + towards * share * offset.length(), target, up, lens };
+        NamedPose::new(number, &format!("view {}", number + 1), camera)
+    });
+    views.collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -109,6 +143,27 @@ mod tests {
         assert!(error.contains("`frnt`") && error.contains("a, b, c, d, e, front"), "{error}");
         let error = of_cameras(&[], &["x".into()]).unwrap_err().to_string();
         assert!(error.contains("has none"), "{error}");
+    }
+
+    #[test]
+    fn spread_views_differ_and_stay_within_their_ranges() {
+        let lens = Lens::Perspective { fov_deg: 40.0 };
+        let view =
+            Camera { eye: DVec3::new(0.0, 3.0, 4.0), target: DVec3::ZERO, up: DVec3::Y, lens };
+        let poses = spread(&view, 0, 32);
+        let away = |pose: &NamedPose| pose.camera.eye - pose.camera.target;
+        for (number, pose) in poses.iter().enumerate() {
+            let share = away(pose).length() / 5.0;
+            assert!((SPREAD[0]..=SPREAD[1]).contains(&share), "{share}");
+            let height_deg = (away(pose).y / away(pose).length()).asin().to_degrees();
+            assert!((HEIGHTS_DEG[0]..=HEIGHTS_DEG[1]).contains(&height_deg), "{height_deg}");
+            assert!(pose.camera.target.length() < 1.5 && pose.camera.target.y.abs() < 1e-12);
+            let others = poses.iter().take(number);
+            assert!(others.clone().all(|other| away(other).distance(away(pose)) > 0.1));
+        }
+        let near = poses.iter().filter(|pose| away(pose).length() < 5.0).count();
+        assert!((12..=20).contains(&near), "{near}");
+        assert_eq!(spread(&view, 3, 1)[0].camera, poses[3].camera);
     }
 
     #[test]

@@ -24,6 +24,7 @@ use std::thread::JoinHandle;
 use parking_lot::Mutex;
 
 use self::store::Store;
+use super::planning;
 use super::poses::{UnknownCamera, of_cameras};
 use super::truth::Finer;
 use crate::engine::{Engine, EngineError, FrameRequest, Pose};
@@ -46,6 +47,8 @@ const BYTES_PER_PIXEL: u64 = 768;
 /// Scope of a survey.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Wanted {
+    /// Measure for the planner. `size` is that of the smallest frames, and the rest is the planner's.
+    pub is_for_planner: bool,
     /// Few settings and one pose, unless cameras are named.
     pub is_quick: bool,
     /// Names of cameras; the scene's first ones where there are none.
@@ -166,11 +169,14 @@ impl Surveys {
             return Err(Refusal::Empty);
         }
         of_cameras(&info.cameras, &wanted.cameras)?;
-        let [width, height] = wanted.size;
-        let (pixels, limits) = (u64::from(width) * u64::from(height), shared.engine.limits());
-        if pixels > MOST_PIXELS || Finer::new(wanted.size, &limits).is_none() {
+        let times = if wanted.is_for_planner { planning::MOST_TIMES } else { 1 };
+        let largest = wanted.size.map(|side| side.saturating_mul(times));
+        let pixels: u64 = largest.iter().map(|&side| u64::from(side)).product();
+        let limits = shared.engine.limits();
+        if pixels > MOST_PIXELS || Finer::new(largest, &limits).is_none() {
+            let [width, height] = wanted.size;
             let parts = u64::from(super::truth::PARTS.pow(2));
-            let most = MOST_PIXELS.min(limits.max_pixels / parts);
+            let most = MOST_PIXELS.min(limits.max_pixels / parts) / u64::from(times.pow(2));
             return Err(Refusal::TooLarge { width, height, most });
         }
         let admission = shared.engine.admission();
@@ -299,7 +305,7 @@ impl Shared {
         });
         admission.shrink_to(0);
         let (state, kept) = match measured {
-            Ok(kept) => (State::Done, Some(Arc::new(kept))),
+            Ok(kept) => (State::Done, kept.map(Arc::new)),
             Err(state) => (state, None),
         };
         tracing::info!(scene, ?state, "accuracy measured");

@@ -100,6 +100,15 @@ impl NamedPose {
 /// Longest pause before a frame that the engine could not take is tried again.
 const LONGEST_PAUSE: Duration = Duration::from_secs(1);
 
+/// What a survey is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Purpose {
+    /// A comparison of all outputs, without what only some settings have.
+    Report,
+    /// Predictions for frames as requests have them: colours alone, with everything that belongs to them.
+    Planner,
+}
+
 /// What a survey draws.
 pub struct Survey<'a> {
     pub engine: &'a Engine,
@@ -116,6 +125,7 @@ pub struct Survey<'a> {
     pub oracle: Option<&'a Reference>,
     /// Folder of the report, where there is one.
     pub folder: Option<&'a Path>,
+    pub purpose: Purpose,
     /// Ends the survey after the frame at hand.
     pub stop: &'a AtomicBool,
 }
@@ -174,7 +184,7 @@ impl Survey<'_> {
     pub fn leave_out_blank(&mut self) -> Result<Vec<String>, SurveyError> {
         let mut blank = Vec::new();
         for pose in &self.poses {
-            let settings = complete(Settings::exact()).finer(1, true);
+            let settings = self.complete(Settings::exact()).finer(1, true);
             let frame =
                 self.draw(self.request(Pose::Camera(pose.camera), settings, Output::Color))?;
             if !quads(&frame.bytes).into_iter().any(is_covered) {
@@ -211,14 +221,17 @@ impl Survey<'_> {
 
     /// A frame at a pose, as the program draws it when nothing is chosen.
     pub fn request_at(&self, pose: Pose) -> FrameRequest {
-        self.request(pose, complete(Settings::default()), Output::Color)
+        self.request(pose, self.complete(Settings::default()), Output::Color)
     }
 
     /// Frames of all rows at the first pose, and of the reference: what they need can be baked before.
     pub fn requests(&self) -> Vec<FrameRequest> {
         let Some(first) = self.poses.first() else { return Vec::new() };
-        let exact =
-            self.request(Pose::Camera(first.camera), complete(Settings::exact()), Output::Color);
+        let exact = self.request(
+            Pose::Camera(first.camera),
+            self.complete(Settings::exact()),
+            Output::Color,
+        );
         let rows = self.rows.iter().map(|row| self.row_request(first, row));
         // A row that is refused needs nothing.
         rows.chain([exact]).filter(|request| self.engine.must_bake(request)).collect()
@@ -238,8 +251,16 @@ impl Survey<'_> {
         }
     }
 
+    /// Settings with which a frame waits for everything that it needs.
+    fn complete(&self, settings: Settings) -> Settings {
+        match self.purpose {
+            Purpose::Report => settings.comparable().complete(),
+            Purpose::Planner => settings.complete(),
+        }
+    }
+
     /// Draws a frame. While the engine has no room for it or has lost its device, the survey waits.
-    fn draw(&self, request: FrameRequest) -> Result<Arc<EncodedFrame>, SurveyError> {
+    pub fn draw(&self, request: FrameRequest) -> Result<Arc<EncodedFrame>, SurveyError> {
         loop {
             let drawn = self.engine.submit_for(self.client, request.clone());
             match drawn.and_then(crate::engine::FrameTicket::wait) {
@@ -286,7 +307,10 @@ impl Survey<'_> {
     }
 
     /// Draws the reference of a pose.
-    fn truth(&self, pose: &NamedPose) -> Result<Truth, SurveyError> {
+    ///
+    /// # Errors
+    /// The engine fails, or the size is beyond a limit.
+    pub fn truth(&self, pose: &NamedPose) -> Result<Truth, SurveyError> {
         let [width, height] = self.size;
         if let Some(oracle) = self.oracle {
             let view = pose.camera.view(width, height)?;
@@ -294,18 +318,23 @@ impl Survey<'_> {
             return Ok(Truth::of_oracle(&oracle.frame_with(&view, PARTS, Some(&splats))));
         }
         let finer = self.finer()?;
-        let own =
-            self.request(Pose::Camera(pose.camera), complete(Settings::exact()), Output::Color);
+        let own = self.request(
+            Pose::Camera(pose.camera),
+            self.complete(Settings::exact()),
+            Output::Color,
+        );
         let decided = *self.engine.resolve_blocking(own.clone())?.settings();
-        let decided = decided.comparable();
+        let decided = self.complete(decided);
         let draw =
             |output, transparent| self.draw(finer.request(&own, &decided, output, transparent));
-        let wide = Wide {
-            color: quads(&draw(Output::Color, false)?.bytes),
-            coverage: quads(&draw(Output::Color, true)?.bytes),
-            depth: floats(&draw(Output::Depth, false)?.bytes),
-            normal: quads(&draw(Output::Normal, false)?.bytes),
-        };
+        let color = quads(&draw(Output::Color, false)?.bytes);
+        let coverage = quads(&draw(Output::Color, true)?.bytes);
+        if self.purpose == Purpose::Planner {
+            return Ok(Truth::of_colors(self.size, PARTS, &color, &coverage));
+        }
+        let depth = floats(&draw(Output::Depth, false)?.bytes);
+        let normal = quads(&draw(Output::Normal, false)?.bytes);
+        let wide = Wide { color, coverage, depth, normal };
         Ok(Truth::of_wide(width, height, PARTS, &wide))
     }
 
@@ -457,7 +486,7 @@ impl Survey<'_> {
     }
 
     fn row_request(&self, pose: &NamedPose, row: &Row) -> FrameRequest {
-        let settings = complete(Settings::from(row.given));
+        let settings = self.complete(Settings::from(row.given));
         self.request(Pose::Camera(pose.camera), settings, Output::Color)
     }
 
@@ -472,6 +501,9 @@ impl Survey<'_> {
         // Depths and normals of another drawing say nothing about this one.
         let instead = frame.receipt.settings.instead_because;
         let own = |output| {
+            if self.purpose == Purpose::Planner {
+                return Ok(None);
+            }
             let frame = self.draw(FrameRequest { output, ..request.clone() })?;
             let is_own = frame.receipt.settings.instead_because == instead;
             Ok::<_, SurveyError>(is_own.then_some(frame))
@@ -502,11 +534,6 @@ impl Survey<'_> {
             notes: notes(&frame.receipt),
         })
     }
-}
-
-/// Settings with which a frame waits for everything that it needs, without what only some settings have.
-fn complete(settings: Settings) -> Settings {
-    settings.comparable().complete()
 }
 
 /// The receipt's reasons for drawing in another way than requested.

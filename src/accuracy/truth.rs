@@ -166,6 +166,13 @@ impl Truth {
         Truth { width, height, color, covered, depth, normal }
     }
 
+    /// Averages colours and coverage alone; there are no depths and normals.
+    pub fn of_colors(size: [u32; 2], parts: u32, color: &[[u8; 4]], coverage: &[[u8; 4]]) -> Truth {
+        let (color, covered) = averaged(size, parts, color, coverage);
+        let [width, height] = size;
+        Truth { width, height, color, covered, depth: Vec::new(), normal: Vec::new() }
+    }
+
     /// Colours and coverage.
     pub fn shot(&self) -> Shot<'_> {
         Shot { color: &self.color, covered: &self.covered }

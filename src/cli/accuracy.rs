@@ -15,13 +15,14 @@ use super::local::{ID, LimitArgs, SceneArgs, SceneFile, progress_bar};
 use super::out::{self, say};
 use super::path::{LINE_EVERY, bake, stop_when_told};
 use crate::accuracy::journal::Journal;
+use crate::accuracy::planning::{self, Planning};
 use crate::accuracy::reference::Reference;
 use crate::accuracy::results::Results;
 use crate::accuracy::stability::stability;
-use crate::accuracy::survey::{Event, Survey, SurveyError};
+use crate::accuracy::survey::{Event, Purpose, Survey, SurveyError};
 use crate::accuracy::{date, report, sweep};
 use crate::assets::ReadOptions;
-use crate::engine::{Client, Pose};
+use crate::engine::{Client, Engine, Pose, SceneInfo};
 use crate::plan::Extent;
 use crate::scene::SceneLimits;
 
@@ -38,6 +39,10 @@ pub struct AccuracyArgs {
     /// Compare the splat shaders on this adapter with exact results for hard cases; fails if an error bound is exceeded
     #[arg(long)]
     stability: bool,
+    /// Measure the scene for the planner, which chooses settings for --budget-ms and --min-psnr-db; the measurements are kept beside the point
+    /// trees
+    #[arg(long, conflicts_with_all = ["stability", "out", "camera", "repeats", "quick", "oracle"])]
+    planner: bool,
     /// Folder for the report, created if missing: index.html, accuracy.json, .md and .svg, and frames; with --stability
     /// stability.json and stability.md
     #[arg(short, long, alias = "output", value_name = "FOLDER")]
@@ -81,17 +86,15 @@ pub struct AccuracyArgs {
 /// The scene or an option is refused, there is no GPU, a file cannot be written, a signal stops the run, or a bound does not hold.
 pub fn run(args: &AccuracyArgs) -> Result<()> {
     match &args.scene {
+        Some(scene) if args.planner => plan(args, scene),
         Some(scene) => survey(args, scene),
         None => check_stability(args),
     }
 }
 
-/// Measures what accuracy costs for a scene.
-fn survey(args: &AccuracyArgs, scene: &Path) -> Result<()> {
+/// Loads the scene whose settings are compared.
+fn load(args: &AccuracyArgs, scene: &Path) -> Result<(Engine, SceneInfo)> {
     super::local::init_log();
-    let Some(folder) = &args.out else {
-        bail!("no folder for the report was given: add -o FOLDER");
-    };
     let scene_args = SceneArgs {
         file: SceneFile {
             scene: scene.to_owned(),
@@ -108,6 +111,42 @@ fn survey(args: &AccuracyArgs, scene: &Path) -> Result<()> {
     if info.bounds.is_none() {
         bail!("{}: the scene is empty, so there is nothing to compare", scene.display());
     }
+    Ok((engine, info))
+}
+
+/// Measures a scene for the planner.
+fn plan(args: &AccuracyArgs, scene: &Path) -> Result<()> {
+    if args.cache.open()?.is_none() {
+        bail!("measurements for the planner are kept beside the point trees: leave out --no-cache");
+    }
+    let (engine, info) = load(args, scene)?;
+    let stop = stop_when_told()?;
+    let least_size = args.size.map_or(planning::LEAST_SIZE, |(width, height)| [width, height]);
+    let client = Client::Unnamed;
+    let planning = Planning { engine: &engine, client, scene: ID, least_size, stop: &stop };
+    for request in planning.requests() {
+        bake(&engine, &request)?;
+    }
+    let mut telling = Telling::new();
+    let measured = planning.measure(&info, |event| telling.hear(&event));
+    telling.bar.finish_and_clear();
+    let measured = match measured {
+        Err(SurveyError::Stopped) => bail!("stopped by a signal; nothing was kept"),
+        measured => measured?,
+    };
+    let poses = measured.poses.len();
+    let settings = engine.learn(ID, measured)?;
+    out::print(&format!(
+        "measured {settings} settings at {poses} poses; --budget-ms and --min-psnr-db choose from them\n"
+    ))
+}
+
+/// Measures what accuracy costs for a scene.
+fn survey(args: &AccuracyArgs, scene: &Path) -> Result<()> {
+    let Some(folder) = &args.out else {
+        bail!("no folder for the report was given: add -o FOLDER");
+    };
+    let (engine, info) = load(args, scene)?;
     let oracle = match args.oracle {
         true => Some(oracle(args, scene)?),
         false => None,
@@ -126,6 +165,7 @@ fn survey(args: &AccuracyArgs, scene: &Path) -> Result<()> {
         seed: args.seed,
         oracle: oracle.as_ref(),
         folder: Some(folder),
+        purpose: Purpose::Report,
         stop: &never,
     };
     if info.cameras.is_empty() && args.camera.is_empty() {

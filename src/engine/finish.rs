@@ -102,6 +102,11 @@ fn receipt(state: &EngineState, drawn: &Drawn) -> Receipt {
             splats: splats_used,
         },
         accepted_px: drawing.applied.accepted_px(),
+        planned: resolved.planned.as_ref().map(|planned| {
+            // Passes that drew several frames at once do not tell the time of one.
+            let ns = drawn.gpu_ns.filter(|_| drawn.views == 1);
+            state.planners.see(planned, ns.map(|ns| ns as f64 / 1e6))
+        }),
         legend: drawing
             .recolor
             .and_then(|recolor| Legend::of(&recolor, &resolved.scene.info.fields)),

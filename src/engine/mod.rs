@@ -10,6 +10,7 @@
 //! | [`MadeOnce`](crate::residency::once::MadeOnce) of a scene, then of an asset | the making of trees or estimates | a bake; others wait with a time limit and ask whether they are still wanted |
 //! | `EngineState::library` | the map of scenes | a lookup or an exchange |
 //! | `Background::running` | estimates that no frame waits for | a lookup |
+//! | `Planners::known`, then the pace of a scene's measurements | measured frames | a look-up or a change |
 //! | `BakeService::state` | waiting and running bakes | a lookup |
 //! | `EngineState::schedule` | queue, costs, unanswered frames | a decision of the queue |
 //! | `EncodeBacklog::state` | frames that wait for an encoder | a decision of the queue |
@@ -42,6 +43,7 @@ mod load;
 mod loaded;
 mod observe;
 pub mod pick;
+mod planner;
 mod point_tree_cache;
 mod point_trees;
 mod priming;
@@ -89,6 +91,7 @@ pub use trace::{Origin, RequestId};
 
 use crate::bake::uncovered::uncovered_share;
 use crate::memory::{self, Admission};
+use crate::plan::planner::Measured;
 use crate::residency::Part;
 use crate::residency::model::AssetModel;
 use crate::scene::CameraPath;
@@ -297,6 +300,25 @@ impl Engine {
             }
             // The scene was removed meanwhile, and perhaps loaded again.
         }
+    }
+
+    /// Takes on measured frames of a scene, from which settings are chosen for requests with a goal. They are kept beside the point trees.
+    /// Returns the number of settings that can be chosen.
+    ///
+    /// # Errors
+    /// [`EngineError::UnknownScene`].
+    pub fn learn(&self, id: &str, measured: Measured) -> Result<usize, EngineError> {
+        let state = self.state();
+        Ok(state.planners.learn(state, &*state.loaded(id)?, measured))
+    }
+
+    /// Numbers of settings and poses that were measured of this content of a scene on this adapter; `None` without measurements.
+    ///
+    /// # Errors
+    /// [`EngineError::UnknownScene`].
+    pub fn planner_size(&self, id: &str) -> Result<Option<[usize; 2]>, EngineError> {
+        let state = self.state();
+        Ok(state.planners.size(state, &*state.loaded(id)?))
     }
 
     pub fn scenes(&self) -> Vec<SceneInfo> {

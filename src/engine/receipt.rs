@@ -3,6 +3,7 @@
 use serde::Serialize;
 use utoipa::ToSchema;
 
+use crate::plan::planner::PlanReceipt;
 use crate::plan::{FramePlan, Pass, PlannedPass, UsedSettings};
 use crate::scene::fields::{SceneField, class_color, class_name};
 use crate::scene::recolor::{ColorMap, Recolor};
@@ -30,6 +31,8 @@ pub struct Receipt {
     /// Error that the request accepts, in pixels.
     #[serde(rename = "max_error_px")]
     pub accepted_px: Option<f64>,
+    /// How settings were chosen for a time budget or a least PSNR; `null` where neither was asked for.
+    pub planned: Option<PlanReceipt>,
     /// Meaning of the colours, where they show values.
     pub legend: Option<Legend>,
     /// Passes that ran, in the order in which they first did, then those that were skipped.

@@ -8,6 +8,7 @@ use sha2::{Digest, Sha256};
 use super::bake_service::{BakeTicket, Goal};
 use super::choices::{choose_for, grounds, magnification, with_detail};
 use super::loaded::Loaded;
+use super::planner::{self, PlannedFrame};
 use super::queue::cost::CostKey;
 use super::receipt::CameraReceipt;
 use super::resolved::{Drawing, ResolvedFrame};
@@ -19,7 +20,8 @@ use crate::math::View;
 use crate::passes::{Levels, PAINTED_BYTES, PATCH_BYTES, SLABS_BYTES, Slabs};
 use crate::plan::auto::{self, Choice};
 use crate::plan::{
-    AdapterFacts, ColorBy, Edl, Output, Reconstruct, Reconstruction, SceneFacts, Settings, Wait,
+    AdapterFacts, Antialias, ColorBy, Edl, Output, Reconstruct, Reconstruction, SceneFacts,
+    Settings, Wait,
 };
 use crate::residency::model::SceneModel;
 use crate::scene::clipping::ClipRegion;
@@ -148,6 +150,32 @@ fn check_size(state: &EngineState, request: &FrameRequest) -> Result<(), EngineE
     Ok(())
 }
 
+/// Whether a frame with these settings is within the limits.
+pub fn fits(state: &EngineState, request: &FrameRequest) -> bool {
+    check_size(state, request).is_ok()
+}
+
+/// The request with its settings chosen, where it has a goal, and how they were chosen.
+///
+/// # Errors
+/// Any error of the request.
+fn prepared(
+    state: &EngineState,
+    loaded: &Loaded,
+    request: FrameRequest,
+) -> Result<(FrameRequest, Option<PlannedFrame>), EngineError> {
+    let mut planned = None;
+    let mut request = request;
+    if request.settings.goal().is_some() {
+        // The chosen settings have an antialiasing of their own.
+        let settings = Settings { antialias: Antialias::Off, ..request.settings };
+        let Checked { view, .. } =
+            check(state, loaded, &FrameRequest { settings, ..request.clone() })?;
+        (request, planned) = planner::planned(state, loaded, request, &view);
+    }
+    Ok((request.with_antialias_decided(), planned))
+}
+
 fn unfit_format(error: EncodeError) -> EngineError {
     let (reason, accepted) = match error {
         EncodeError::Unsupported { format, output, accepted } => {
@@ -226,7 +254,8 @@ pub fn resolve_in(
     if let Some(hook) = &state.config.resolve_hook {
         hook();
     }
-    let request = request.with_antialias_decided();
+    let asked = request.clone();
+    let (request, planned) = prepared(state, &loaded, request)?;
     let Ground { checked, drawn, full_because, lacks } = ground(state, &loaded, &request)?;
     let baked = match lacks {
         None if !drawn.settings.draws_trees() => Ok((loaded.model.clone(), loaded.facts)),
@@ -236,9 +265,12 @@ pub fn resolve_in(
         Some(goal) => Err(goal),
     };
     Ok(match baked {
-        Ok(model) => Resolution::Ready(decide(state, &loaded, drawn, full_because, checked, model)),
+        Ok(model) => {
+            let frame = decide(state, &loaded, drawn, full_because, checked, model);
+            Resolution::Ready(Arc::new(ResolvedFrame { planned, ..frame }))
+        }
         Err(goal) => {
-            let state = state.clone();
+            let (state, request) = (state.clone(), asked);
             Resolution::NeedsBake(Box::new(UnbakedFrame { state, scene: loaded, goal, request }))
         }
     })
@@ -251,7 +283,7 @@ pub fn resolve_in(
 /// As [`resolve`].
 pub fn lacking(state: &EngineState, request: &FrameRequest) -> Result<Option<Goal>, EngineError> {
     let loaded = state.loaded(&request.scene)?;
-    let request = request.clone().with_antialias_decided();
+    let (request, _) = prepared(state, &loaded, request.clone())?;
     Ok(ground(state, &loaded, &request)?.lacks)
 }
 
@@ -333,7 +365,7 @@ fn decide(
     full_because: Option<String>,
     Checked { view, camera, clip }: Checked,
     (model, facts): (Arc<SceneModel>, SceneFacts),
-) -> Arc<ResolvedFrame> {
+) -> ResolvedFrame {
     let adapter = state.adapter();
     let Chosen { settings, auto, provisional } =
         choose_reconstruction(state, loaded, &request, &facts, &view);
@@ -400,7 +432,7 @@ fn decide(
         Tagged { auto: auto.as_ref(), drawing: &drawing, is_provisional: provisional.is_some() };
     let key = entity_tag(loaded, &request, &tagged, &view, &adapter);
     let cost_key = cost_key(&request, &settings);
-    Arc::new(ResolvedFrame {
+    ResolvedFrame {
         request,
         model,
         view,
@@ -414,9 +446,10 @@ fn decide(
         key,
         cost_key,
         adapter: adapter.name,
+        planned: None,
         scene: loaded.clone(),
         picks: Arc::default(),
-    })
+    }
 }
 
 /// Returns the key of frames that cost about the same.

@@ -11,6 +11,7 @@ use std::sync::Arc;
 
 use super::FrameRequest;
 use super::loaded::Loaded;
+use super::planner::PlannedFrame;
 use super::queue::cost::CostKey;
 use super::receipt::CameraReceipt;
 use crate::math::{Bounds, View};
@@ -39,6 +40,8 @@ pub struct ResolvedFrame {
     pub(super) provisional: Option<String>,
     /// How samples are drawn where the request left that open, and why.
     pub(super) auto: Option<Choice>,
+    /// How settings were chosen, where the request has a goal.
+    pub(super) planned: Option<PlannedFrame>,
     /// Reason why a frame with `lod=spt` is drawn at full detail.
     pub(super) full_because: Option<String>,
     /// The drawing for splats that overflow a single pass.

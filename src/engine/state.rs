@@ -16,6 +16,7 @@ use super::frame_job::{FrameJob, Reply};
 use super::library::Library;
 use super::loaded::Loaded;
 use super::observe::Observer;
+use super::planner::Planners;
 use super::queue::cost::Costs;
 use super::queue::{Class, Client, Granted, Moment, Queue, Shares, Taken, lateness};
 use super::resolved::ResolvedFrame;
@@ -125,6 +126,8 @@ pub struct EngineState {
     pub encode_backlog: EncodeBacklog,
     /// Estimates that frames do not wait for.
     pub background: Background,
+    /// Measurements by which settings are chosen for goals.
+    pub planners: Planners,
     pub stats: Stats,
     /// Counts changes of scenes: loaded, patched, removed.
     pub changes: watch::Sender<u64>,
@@ -157,6 +160,7 @@ impl EngineState {
         Self {
             bake_service: BakeService::new(&config),
             encode_backlog: EncodeBacklog::new(config.encoder_threads, config.job_share),
+            planners: Planners::new(config.bake_cache.clone()),
             config,
             library: RwLock::default(),
             loading: Mutex::default(),

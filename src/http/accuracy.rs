@@ -33,7 +33,7 @@ const DEFAULT_REPEATS: [u32; 2] = [3, 5];
 /// When a request is worth repeating while another measurement runs.
 const RETRY_RUNNING: Duration = Duration::from_secs(10);
 
-const KEYS: [&str; 5] = ["quick", "cameras", "w", "h", "repeats"];
+const KEYS: [&str; 6] = ["planner", "quick", "cameras", "w", "h", "repeats"];
 const SYNONYMS: [(&str, &str); 4] =
     [("camera", "cameras"), ("width", "w"), ("height", "h"), ("repeat", "repeats")];
 
@@ -41,6 +41,9 @@ const SYNONYMS: [(&str, &str); 4] =
 #[derive(Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct AccuracyRequest {
+    /// Measure for the planner, which chooses settings for a time budget or a least PSNR; default false. Many settings are drawn from 24 views, in
+    /// three sizes from `w` × `h` to three times that on each side. `quick`, `cameras` and `repeats` do not apply.
+    planner: Option<bool>,
     /// Few settings and one pose, unless `cameras` are named; default true. A whole measurement compares every setting that trades accuracy for
     /// time, from up to five cameras.
     quick: Option<bool>,
@@ -80,6 +83,15 @@ pub struct AccuracyProgress {
     what: String,
 }
 
+/// What the planner chooses from.
+#[derive(Serialize, ToSchema)]
+pub struct PlannerState {
+    /// Number of settings.
+    settings: usize,
+    /// Number of poses at which they were measured.
+    poses: usize,
+}
+
 /// State and results of a scene's accuracy measurement.
 #[derive(Serialize, ToSchema)]
 pub struct AccuracyState {
@@ -96,13 +108,19 @@ pub struct AccuracyState {
     revision: Option<u64>,
     /// End of the measurement, in milliseconds since 1970.
     since_ms: Option<u64>,
+    /// What was measured for the planner, of this content of the scene on this adapter; `null` if nothing was.
+    planner: Option<PlannerState>,
     /// Results of the last measurement that was done, as `accuracy.json` of the command `pointillist accuracy` has them.
     #[schema(value_type = Option<Results>)]
     results: Option<Value>,
 }
 
 impl AccuracyState {
-    fn new(scene: &str, view: Option<&View>) -> Result<AccuracyState, Problem> {
+    fn new(
+        scene: &str,
+        view: Option<&View>,
+        planner: Option<[usize; 2]>,
+    ) -> Result<AccuracyState, Problem> {
         let (mut progress, mut error) = (None, None);
         let state = match view.map(|view| &view.state) {
             None => AccuracyStateName::NotMeasured,
@@ -128,6 +146,7 @@ impl AccuracyState {
             stale: view.and_then(|view| view.is_stale),
             revision: kept.map(|kept| kept.revision),
             since_ms: kept.map(|kept| kept.since_ms),
+            planner: planner.map(|[settings, poses]| PlannerState { settings, poses }),
             results,
         })
     }
@@ -279,7 +298,8 @@ async fn on_thread<T: Send + 'static>(
 }
 
 fn state(app: &App, id: &str) -> Result<AccuracyState, Problem> {
-    AccuracyState::new(id, app.surveys.view(id).as_ref())
+    let planner = app.engine.planner_size(id).map_err(|error| missing(app, id, error.into()))?;
+    AccuracyState::new(id, app.surveys.view(id).as_ref(), planner)
 }
 
 fn not_measured(id: &str) -> Problem {
@@ -299,6 +319,16 @@ fn wanted(value: Value) -> Result<Wanted, Problem> {
         let path = error.path().to_string();
         Problem::new(Kind::BadBody, format!("{path}: {}", error.inner())).at(path)
     })?;
+    let is_for_planner = request.planner.unwrap_or(false);
+    let given = [
+        ("quick", request.quick.is_some()),
+        ("cameras", request.cameras.is_some()),
+        ("repeats", request.repeats.is_some()),
+    ];
+    if let Some((name, _)) = given.into_iter().find(|(_, is_given)| is_for_planner && *is_given) {
+        let reason = "a measurement for the planner has its own views and repeats";
+        return Err(Problem::parameter(name, reason, "no value beside `\"planner\": true`"));
+    }
     let is_quick = request.quick.unwrap_or(true);
     let [quick, whole] = DEFAULT_REPEATS;
     let [width, height] = DEFAULT_SIZE;
@@ -319,7 +349,8 @@ fn wanted(value: Value) -> Result<Wanted, Problem> {
         let accepted = format!("1 to {MOST_CAMERAS} names, or none of `cameras`");
         return Err(Problem::parameter("cameras", format!("{count} names"), accepted));
     }
-    Ok(Wanted { is_quick, cameras: request.cameras.unwrap_or_default(), size, repeats })
+    let cameras = request.cameras.unwrap_or_default();
+    Ok(Wanted { is_for_planner, is_quick, cameras, size, repeats })
 }
 
 fn refused(app: &App, id: &str, refusal: Refusal) -> Problem {

@@ -24,8 +24,8 @@ const NEAR: f64 = 0.7;
 /// The smallest error, over the accepted one, just before full detail is drawn.
 const LEAST_SHARE: f64 = 0.25;
 /// `κ`: where nodes are chosen by their size, or stand for triangles, and where they are chosen by their error.
-const NODES_BY_SIZE: f64 = 1.9;
-const NODES_BY_ERROR: f64 = 1.6;
+pub(super) const NODES_BY_SIZE: f64 = 1.9;
+pub(super) const NODES_BY_ERROR: f64 = 1.6;
 /// Segments of levels of detail in place of `n` that bend away by `b` pixels each: `n · κ (b / e)^p`.
 const BENDS: f64 = 1.0;
 const BENDS_POWER: f64 = 1.1;
@@ -127,19 +127,22 @@ pub fn point_error_px(accepted_px: f32, are_discs: bool) -> f32 {
 }
 
 /// Elements in view, and what a tree tests in their place.
-#[derive(Default)]
-struct Seen {
-    elements: f64,
+#[derive(Clone, Copy, Default)]
+pub(super) struct Seen {
+    pub elements: f64,
     /// Sum of the squares of their distances, in square pixels.
-    area: f64,
-    nodes: f64,
+    pub area: f64,
+    pub nodes: f64,
     /// Sum of the squares of their widths, in square pixels.
-    area_of_nodes: f64,
+    pub area_of_nodes: f64,
 }
 
-fn seen(patches: &[Patch], view: &View, width: f64, node_px: f64) -> Seen {
-    let seen = patches.iter().filter_map(|patch| auto::in_view(patch, view));
-    seen.fold(Seen::default(), |sum, (spacing_px, count)| {
+/// What a patch shows: the distance of its elements in pixels, and how many are in view, as [`auto::in_view`] tells.
+pub(super) type InView = (f64, f64);
+
+/// Samples or triangles, where nodes may be `node_px` wide.
+pub(super) fn seen(patches: impl Iterator<Item = InView>, width: f64, node_px: f64) -> Seen {
+    patches.fold(Seen::default(), |sum, (spacing_px, count)| {
         let nodes = count * (width * spacing_px / node_px).powi(2).min(1.0);
         let apart_px = spacing_px.min(WIDEST_PX);
         Seen {
@@ -151,9 +154,9 @@ fn seen(patches: &[Patch], view: &View, width: f64, node_px: f64) -> Seen {
     })
 }
 
-fn seen_segments(patches: &[Patch], view: &View, node_px: f64) -> Seen {
-    let seen = patches.iter().filter_map(|patch| auto::in_view(patch, view));
-    seen.fold(Seen::default(), |sum, (bend_px, count)| Seen {
+/// Segments, where levels of detail may be off by `node_px`.
+pub(super) fn seen_segments(patches: impl Iterator<Item = InView>, node_px: f64) -> Seen {
+    patches.fold(Seen::default(), |sum, (bend_px, count)| Seen {
         elements: sum.elements + count,
         nodes: sum.nodes + count * (BENDS * (bend_px / node_px).powf(BENDS_POWER)).min(1.0),
         ..sum
@@ -161,7 +164,7 @@ fn seen_segments(patches: &[Patch], view: &View, node_px: f64) -> Seen {
 }
 
 /// Decides whether a frame with `lod=spt` is drawn from point trees, and with which error.
-pub fn choose(grounds: &DetailGrounds<'_>) -> Detail {
+pub fn choose<'a>(grounds: &DetailGrounds<'a>) -> Detail {
     let accepted = grounds.tree.accepted_error();
     let accepted_px = accepted.px();
     if grounds.instances > MOST_INSTANCES || grounds.elements > MOST_ELEMENTS {
@@ -172,9 +175,10 @@ pub fn choose(grounds: &DetailGrounds<'_>) -> Detail {
         if by_size { point_error_px(accepted_px, accepted_px > 1.0) } else { accepted_px };
     let (node_px, view) = (f64::from(node_px), grounds.view);
     let width = if by_size { NODES_BY_SIZE } else { NODES_BY_ERROR };
-    let samples = seen(grounds.samples, view, width, node_px);
-    let triangles = seen(grounds.triangles, view, NODES_BY_SIZE, node_px);
-    let segments = seen_segments(grounds.segments, view, node_px);
+    let in_view = |patches: &'a [Patch]| patches.iter().filter_map(|p| auto::in_view(p, view));
+    let samples = seen(in_view(grounds.samples), width, node_px);
+    let triangles = seen(in_view(grounds.triangles), NODES_BY_SIZE, node_px);
+    let segments = seen_segments(in_view(grounds.segments), node_px);
     let costs = grounds.costs;
     let (full, tree) = (costs.of_samples(grounds.full), costs.of_samples(grounds.tree));
     let full_ns = full.full * samples.elements

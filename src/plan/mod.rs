@@ -5,6 +5,7 @@
 
 pub mod auto;
 pub mod detail;
+pub mod planner;
 mod reconstruction;
 mod settings;
 pub mod shadow;

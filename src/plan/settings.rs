@@ -17,6 +17,7 @@ use serde_json::{Map, Value};
 
 mod declaration;
 mod finer;
+mod goal;
 mod numbers;
 mod shadows;
 mod text;
@@ -27,8 +28,10 @@ mod values;
 pub use crate::scene::name::Name;
 use declaration::Accepted;
 pub use declaration::{Choice, Rule, Setting, SettingError, SettingKind};
+pub use goal::Pinned;
 pub use numbers::{
-    ColorBound, EdlRadius, EdlStrength, LineWidth, MaxError, PointSize, PointSizePx,
+    Budget, ColorBound, EdlRadius, EdlStrength, LineWidth, MaxError, MinPsnr, PointSize,
+    PointSizePx,
 };
 pub use shadows::{ShadowPx, Shadows};
 pub use trades::{Extent, Trade, TradeOff, trade_offs};
@@ -126,6 +129,9 @@ macro_rules! settings {
             /// How `auto` draws before normals and kernels are there.
             #[serde(skip)]
             pub wait: Wait,
+            /// Settings that the request gives, where a goal has the others chosen.
+            #[serde(skip)]
+            pub pinned: Pinned,
         }
 
         static DECLARED: LazyLock<Vec<Setting>> = LazyLock::new(|| vec![$(
@@ -168,10 +174,11 @@ macro_rules! settings {
         impl From<Given> for Settings {
             /// The settings without any check: a stored job was checked when it was made.
             fn from(given: Given) -> Settings {
-                Settings {
+                let settings = Settings {
                     $( $name: given.$name.map(<$used>::from).unwrap_or_default(), )+
                     ..Settings::default()
-                }
+                };
+                settings.with_pinned([$(given.$name.is_some()),+])
             }
         }
     };
@@ -191,6 +198,16 @@ settings! {
     /// Top-level node in whose coordinates the boxes are, and with which they move; the scene by default.
     clip_node: Name => Option<Name> {
         label: "Boxes of node", kind: text::name("the scene", "the name of a top-level node", &["0", "1"]), needs: [CLIPPED], useful_with: []
+    }
+    /// Longest GPU time of the frame, in milliseconds. The most exact settings that were measured to keep it are chosen, of those that trade
+    /// accuracy for time and are not given. The receipt says what was chosen, and why.
+    budget_ms: f64 => Budget {
+        label: "Time budget", kind: Budget::kind(), needs: [], useful_with: [COLORS]
+    }
+    /// Least peak signal-to-noise ratio of the frame against the reference, in decibels. The fastest settings that were measured to keep it are
+    /// chosen, of those that trade accuracy for time and are not given.
+    min_psnr_db: f64 => MinPsnr {
+        label: "Least PSNR", kind: MinPsnr::kind(), needs: [], useful_with: [COLORS]
     }
     /// Level of detail.
     lod: Lod => Lod {
@@ -448,13 +465,14 @@ impl Given {
             return Err(SettingError { setting: "color_most", reason, accepted });
         }
         let settings = Settings::from(*self);
-        let (given, used) = (words(self), words(&settings));
+        let (given, used, open) = (words(self), words(&settings), settings.open());
         for setting in declared() {
             let Some(value) = given.get(setting.name) else { continue };
             if setting.kind.is_default(value) {
                 continue;
             }
-            if let Some(rule) = setting.needs.iter().find(|rule| !rule.allows(Some(value), &used)) {
+            let mut needs = setting.needs.iter().filter(|rule| !open.contains(&rule.of));
+            if let Some(rule) = needs.find(|rule| !rule.allows(Some(value), &used)) {
                 let default = match &setting.kind {
                     SettingKind::Choice { default, .. } => default.clone(),
                     _ => None,
@@ -470,12 +488,13 @@ impl Given {
     }
 }
 
-/// Those settings among `known` whose needs are met and that `is_asked` lets pass.
-fn kept(known: &Map<String, Value>, is_asked: impl Fn(&Setting) -> bool) -> Given {
+/// Those settings among `known` whose needs are met and that `is_asked` lets pass. Those in `open` are yet to be chosen.
+fn kept(known: &Map<String, Value>, open: &[&str], is_asked: impl Fn(&Setting) -> bool) -> Given {
     let mut given = Given::default();
-    for setting in declared() {
+    for setting in declared().iter().filter(|setting| !open.contains(&setting.name)) {
+        let is_met = |value, rule: &Rule| open.contains(&rule.of) || rule.allows(value, known);
         if let Some(value) = known.get(setting.name)
-            && setting.needs.iter().all(|rule| rule.allows(Some(value), known))
+            && setting.needs.iter().all(|rule| is_met(Some(value), rule))
             && is_asked(setting)
         {
             // Comes of the same type.
@@ -490,7 +509,7 @@ impl Settings {
     /// output and the scene.
     #[must_use]
     pub fn applied(&self) -> Given {
-        kept(&words(self), |_| true)
+        kept(&words(self), &self.open(), |_| true)
     }
 
     /// The canonical form: those applied settings that affect the pixels of an output of a scene. Receipts list them, and tags hash them.
@@ -505,7 +524,7 @@ impl Settings {
         known.insert("casting_lights".to_owned(), some(scene.casting_lights.into()).into());
         known.insert("output".to_owned(), serde_json::json!(output));
         let is_open = |rule: &Rule| known.get(rule.of).is_none_or(Value::is_null);
-        kept(&known, |setting| {
+        kept(&known, &self.open(), |setting| {
             // Rules of single values say what can be drawn at all.
             let mut rules = setting.useful_with.iter().filter(|rule| rule.value.is_none());
             rules.all(|rule| is_open(rule) || rule.holds(&known))

@@ -6,11 +6,13 @@ use std::time::SystemTime;
 use super::store::Kept;
 use super::{Failure, Progress, Shared, State, Wanted, tag};
 use crate::accuracy::journal::Journal;
+use crate::accuracy::planning::Planning;
 use crate::accuracy::results::Results;
-use crate::accuracy::survey::{Survey, SurveyError};
+use crate::accuracy::survey::{Event, Purpose, Survey, SurveyError};
 use crate::accuracy::{date, sweep};
 use crate::engine::{Client, EngineError, FrameRequest, Pose};
 use crate::plan::Extent;
+use crate::plan::planner::Measured;
 
 /// The number of the surveys' lane in the queue; those of jobs begin at 1.
 const LANE: u64 = 0;
@@ -18,7 +20,7 @@ const LANE: u64 = 0;
 const SEED: u64 = 1;
 
 impl Shared {
-    /// Surveys a scene.
+    /// Surveys a scene. `None` for measurements that the planner has taken on.
     ///
     /// # Errors
     /// How the survey ended without results.
@@ -27,15 +29,23 @@ impl Shared {
         scene: &str,
         wanted: &Wanted,
         stop: &AtomicBool,
-    ) -> Result<Kept, State> {
+    ) -> Result<Option<Kept>, State> {
         let engine = &self.engine;
         let mark = engine.scene_mark(scene);
         let has_changed = || engine.scene_mark(scene) != mark;
-        let measured = self.survey(scene, wanted, stop, &has_changed);
+        let surveyed = if wanted.is_for_planner {
+            self.plan(scene, wanted, stop, &has_changed).map(Err)
+        } else {
+            self.survey(scene, wanted, stop, &has_changed).map(Ok)
+        };
         // Frames of a scene that changed show both contents, or failed because of the change.
         if has_changed() {
             return Err(State::Failed(Failure::SceneChanged));
         }
+        let measured = surveyed.and_then(|surveyed| match surveyed {
+            Ok(kept) => Ok(Some(kept)),
+            Err(measured) => Ok(engine.learn(scene, measured).map(|_| None)?),
+        });
         measured.map_err(|error| match error {
             SurveyError::Stopped | SurveyError::Engine(EngineError::ShuttingDown) => {
                 State::Cancelled
@@ -70,6 +80,7 @@ impl Shared {
             seed: SEED,
             oracle: None,
             folder: None,
+            purpose: Purpose::Report,
             stop,
         };
         if info.cameras.is_empty() && wanted.cameras.is_empty() {
@@ -85,19 +96,39 @@ impl Shared {
         }
         let identity = survey.identity(&info.name)?;
         let mut journal = Journal::in_memory(&identity, &date(SystemTime::now()));
-        let is_complete = survey.run(&mut journal, |event| {
-            let (done, total, what) = (event.done, event.total, event.what.to_owned());
-            self.tell(Progress { done, total, what });
-            if has_changed() {
-                stop.store(true, Ordering::Relaxed);
-            }
-        })?;
+        let is_complete = survey.run(&mut journal, |event| self.hear(event, stop, has_changed))?;
         if !is_complete {
             return Err(SurveyError::Stopped);
         }
         let results = Results::new(identity, journal.date, &survey.rows, &journal.records);
         let kept = Kept::new(scene, tag, info.revision, &results);
         kept.map_err(|error| EngineError::Internal(error.to_string()).into())
+    }
+
+    /// Measures a scene for the planner.
+    fn plan(
+        &self,
+        scene: &str,
+        wanted: &Wanted,
+        stop: &AtomicBool,
+        has_changed: &impl Fn() -> bool,
+    ) -> Result<Measured, SurveyError> {
+        let engine = &self.engine;
+        let least_size = wanted.size;
+        let planning = Planning { engine, client: Client::Job(LANE), scene, least_size, stop };
+        for request in planning.requests() {
+            self.bake(&request, stop)?;
+        }
+        planning.measure(&engine.scene(scene)?, |event| self.hear(event, stop, has_changed))
+    }
+
+    /// Tells the progress, and stops the survey of a scene that has changed.
+    fn hear(&self, event: Event<'_>, stop: &AtomicBool, has_changed: &impl Fn() -> bool) {
+        let Event { done, total, what } = event;
+        self.tell(Progress { done, total, what: what.to_owned() });
+        if has_changed() {
+            stop.store(true, Ordering::Relaxed);
+        }
     }
 
     /// Bakes what a frame needs. The bake is given up if the survey is told to stop.

@@ -24,12 +24,6 @@ macro_rules! numbers {
                 self.0
             }
 
-            /// The number times `scale`, or the nearest in the range.
-            #[must_use]
-            pub fn times(self, scale: f32) -> $name {
-                $name((self.0 * scale).clamp($least, $most))
-            }
-
             pub(super) fn kind() -> SettingKind {
                 let [least, most] = $name::RANGE.map(exact);
                 SettingKind::Number { least, most, default: Some(exact($default)), unit: $unit }
@@ -84,12 +78,63 @@ numbers! {
     EdlStrength: 0.0 to 10.0 "", 0.6;
     /// Distance of the neighbours that eye-dome lighting compares a pixel with, in pixels.
     EdlRadius: 1.0 to 16.0 "pixels", 1.4;
+    /// GPU time of a frame, in milliseconds.
+    BudgetMs: 0.01 to 60000.0 "ms", 33.0;
+    /// Peak signal-to-noise ratio, in decibels.
+    Decibels: 1.0 to 100.0 "dB", 35.0;
 }
 
-/// Least width of lines. Where there is none, the scene decides.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize)]
-#[serde(transparent)]
-pub struct LineWidth(Option<LineWidthPx>);
+/// Declares types of numbers that may be missing.
+macro_rules! optional {
+    ($($(#[doc = $doc:literal])+ $name:ident of $number:ident;)+) => {$(
+        $(#[doc = $doc])+
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize)]
+        #[serde(transparent)]
+        pub struct $name(Option<$number>);
+
+        impl $name {
+            pub(super) fn kind() -> SettingKind {
+                match $number::kind() {
+                    SettingKind::Number { least, most, unit, .. } => {
+                        SettingKind::Number { least, most, default: None, unit }
+                    }
+                    other => other,
+                }
+            }
+        }
+
+        impl From<f64> for $name {
+            fn from(value: f64) -> Self {
+                $name(Some(value.into()))
+            }
+        }
+    )+};
+}
+
+optional! {
+    /// Least width of lines. Where there is none, the scene decides.
+    LineWidth of LineWidthPx;
+    /// Longest GPU time of a frame, where there is one.
+    Budget of BudgetMs;
+    /// Least peak signal-to-noise ratio of a frame, where there is one.
+    MinPsnr of Decibels;
+}
+
+/// Declares numbers that grow with the pixels of a frame.
+macro_rules! lengths {
+    ($($name:ident),+) => {$(
+        impl $name {
+            /// The number times `scale`, or the nearest in the range.
+            #[must_use]
+            pub fn times(self, scale: f32) -> $name {
+                let [least, most] = $name::RANGE;
+                $name((self.0 * scale).clamp(least, most))
+            }
+        }
+    )+};
+}
+
+lengths!(LineWidthPx, EdlRadius);
 
 impl LineWidth {
     /// The width, where there is one; else a pixel for sparse lines, and their own width for others.
@@ -107,20 +152,17 @@ impl LineWidth {
     pub fn times(self, scale: f32) -> LineWidth {
         LineWidth(self.0.map(|width| width.times(scale)))
     }
+}
 
-    pub(super) fn kind() -> SettingKind {
-        match LineWidthPx::kind() {
-            SettingKind::Number { least, most, unit, .. } => {
-                SettingKind::Number { least, most, default: None, unit }
-            }
-            other => other,
-        }
+impl Budget {
+    pub fn ms(self) -> Option<f64> {
+        self.0.map(|budget| exact(budget.get()))
     }
 }
 
-impl From<f64> for LineWidth {
-    fn from(px: f64) -> Self {
-        LineWidth(Some(px.into()))
+impl MinPsnr {
+    pub fn db(self) -> Option<f64> {
+        self.0.map(|least| exact(least.get()))
     }
 }
 

@@ -44,6 +44,8 @@ pub enum Extent {
     All,
     /// The main settings with default numbers, and the variants that matter most.
     Few,
+    /// The main settings with all numbers, and the variants that matter most, with nothing left to `auto`: what a planner chooses from.
+    Planned,
 }
 
 /// A combination of settings to compare with others.
@@ -87,6 +89,9 @@ pub fn trade_offs(extent: Extent) -> Vec<TradeOff> {
             let with = allowed(*given, setting, &values);
             found.extend(with.into_iter().map(|given| trade_off(given, &main)));
         }
+    }
+    if extent == Extent::Planned {
+        found.retain(|found| !Settings::from(found.given).leaves_drawing_open());
     }
     found
 }
@@ -194,5 +199,8 @@ mod tests {
         assert!(large.iter().all(|found| found.label.contains("antialias=")));
         let all = trade_offs(Extent::All);
         assert!(few.iter().all(|found| all.contains(found)));
+        let planned = trade_offs(Extent::Planned);
+        assert!(planned.iter().all(|found| all.contains(found) && found.family != "auto"));
+        assert!(planned.iter().any(|found| found.label == "fuzzy spt 4 px"));
     }
 }

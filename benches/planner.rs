@@ -1,0 +1,261 @@
+//! Does the planner keep its promises? Frames at random poses and sizes are asked for with a time budget or a least PSNR. The truth is the
+//! reference that the planner measures against; times are GPU times. A promise counts where the receipt gives one.
+//!
+//! At some poses every measured setting is drawn: the fastest that keeps the PSNR, and the most exact that keeps the budget, tell what the planner could have
+//! chosen. Poses come from another generator than those that the planner has measured.
+//!
+//! `PLANNER_SCENES=a.json,b.ply` takes other scenes, `PLANNER_POSES=n` other numbers of poses a scene.
+
+mod common;
+
+use std::path::PathBuf;
+use std::sync::atomic::AtomicBool;
+
+use anyhow::Context;
+use common::drawing::{Drawing, gpu_ms};
+use common::report::{Bound, Report, number};
+use common::{files, median, pick, quantile};
+use glam::DVec3;
+use pointillist::accuracy::metrics;
+use pointillist::accuracy::planning::{LEAST_SIZE, Planning};
+use pointillist::accuracy::survey::NamedPose;
+use pointillist::accuracy::sweep::rows;
+use pointillist::accuracy::truth::{opaque, quads};
+use pointillist::bake::cache::BakeCache;
+use pointillist::encode::ImageFormat;
+use pointillist::engine::{Client, Receipt};
+use pointillist::generate::{Kind, Parameters};
+use pointillist::math::{Camera, Lens};
+use pointillist::plan::{Extent, Given, Settings};
+use pointillist::scene::random::SplitMix64;
+
+const SCENES: [&str; 5] = ["town", "relief", "textured", "plaza", "glasshouse"];
+const BUDGETS_MS: [f64; 3] = [15.0, 40.0, 120.0];
+const LEAST_DB: [f64; 3] = [28.0, 34.0, 40.0];
+/// Every so many poses, all settings are drawn.
+const ALL_EVERY: usize = 6;
+/// Frames that the time of a setting is the median of, after one that may compile shaders.
+const TIMED: usize = 3;
+
+/// What was found of all frames with a goal.
+#[derive(Default)]
+struct Found {
+    promised: usize,
+    kept: usize,
+    frames: usize,
+    /// How far broken promises are off: in percent of the budget, or in decibels.
+    off: Vec<f64>,
+    /// Time over the best setting's, or decibels below it.
+    lost: Vec<f64>,
+    /// Predicted over actual times.
+    predicted: Vec<f64>,
+}
+
+fn scenes() -> anyhow::Result<Vec<PathBuf>> {
+    if let Ok(given) = std::env::var("PLANNER_SCENES") {
+        return Ok(given.split(',').map(PathBuf::from).collect());
+    }
+    let samples = pick(300_000, 20_000);
+    let parameters = Parameters { seed: 1, points: Some(samples), ..Parameters::default() };
+    let statue = files::generated(&format!("statue-{samples}.ply"), Kind::Statue, &parameters)?;
+    let shipped = SCENES.iter().map(|name| PathBuf::from(format!("scenes/{name}.json")));
+    Ok(shipped.take(pick(5, 1)).chain([statue]).collect())
+}
+
+/// A pose somewhere around the default view.
+fn pose(view: &Camera, random: &mut SplitMix64) -> Camera {
+    let offset = view.eye - view.target;
+    let reach = offset.length();
+    let up = view.up.normalize_or(DVec3::Y);
+    let side = up.cross(offset).normalize_or(DVec3::X);
+    let mut within = |low: f64, high: f64| low + (high - low) * random.unit();
+    let turn = within(0.0, std::f64::consts::TAU);
+    let height = within(2.0, 75.0).to_radians();
+    let level = side.cross(up);
+    let flat = level * turn.cos() + side * turn.sin();
+    let distance = reach * within(0.25f64.ln(), 4f64.ln()).exp();
+    let target = view.target + reach * (side * within(-0.25, 0.25) + level * within(-0.25, 0.25));
+    let eye = target + distance * (flat * height.cos() + up * height.sin());
+    Camera { eye, target, up, lens: view.lens }
+}
+
+fn goal(budget_ms: Option<f64>, min_psnr_db: Option<f64>) -> Settings {
+    Settings::from(Given { budget_ms, min_psnr_db, ..Given::default() })
+}
+
+/// The frame's PSNR, its median time and its last receipt.
+fn measured(
+    drawing: &Drawing,
+    camera: Camera,
+    size: [u32; 2],
+    settings: Settings,
+    truth: &[[u8; 4]],
+) -> anyhow::Result<(f64, f64, Receipt)> {
+    let draw = || drawing.image(camera, size, settings.complete(), ImageFormat::Raw);
+    let frame = draw()?;
+    let color: Vec<[u8; 4]> = quads(&frame.bytes).into_iter().map(opaque).collect();
+    let db = metrics::psnr_db(metrics::mse(truth, &color)?).unwrap_or(99.0);
+    let (mut times, mut last) = (Vec::new(), frame);
+    for _ in 0..pick(TIMED, 1) {
+        last = draw()?;
+        times.push(gpu_ms(&last.receipt)?);
+    }
+    Ok((db, median(&times), last.receipt.clone()))
+}
+
+fn main() -> anyhow::Result<()> {
+    let poses = std::env::var("PLANNER_POSES").ok().and_then(|n| n.parse().ok());
+    let poses: usize = poses.unwrap_or(pick(84, 1));
+    let mut report: Option<Report> = None;
+    let (mut budgets, mut errors) = (Found::default(), Found::default());
+    let mut table = Vec::new();
+    for file in scenes()? {
+        let cache = BakeCache::new(common::folder().join("planner-cache"), 4 << 30);
+        let drawing = Drawing::open(&file, 0, |config| config.bake_cache = Some(cache))?;
+        let report =
+            report.get_or_insert_with(|| Report::new("planner", &drawing.engine.adapter()));
+        let name = file.file_stem().context("a scene's name")?.to_string_lossy().into_owned();
+        let stop = AtomicBool::new(false);
+        let planning = Planning {
+            engine: &drawing.engine,
+            client: Client::Unnamed,
+            scene: "scene",
+            least_size: pick(LEAST_SIZE, [64, 36]),
+            stop: &stop,
+        };
+        for request in planning.requests() {
+            drawing.engine.bake(&request)?;
+        }
+        if drawing.engine.planner_size("scene")?.is_none() {
+            let found = planning.measure(&drawing.info, |_| ())?;
+            drawing.engine.learn("scene", found)?;
+        }
+        let survey = planning.survey(planning.least_size, Vec::new(), Vec::new());
+        let seen = survey.draw(survey.request_at(pointillist::engine::Pose::FIT))?;
+        let seen = &seen.receipt.camera;
+        let [eye, target, up] = [seen.eye, seen.target, seen.up].map(DVec3::from);
+        let lens = Lens::Perspective { fov_deg: seen.fov_deg.unwrap_or(40.0) };
+        let view = Camera { eye, target, up, lens };
+        let mut random = SplitMix64::new(2026);
+        let (mut own_budgets, mut own_errors) = (Found::default(), Found::default());
+        for number in 0..poses {
+            let camera = pose(&view, &mut random);
+            let width =
+                (planning.least_size[0] as f64 * (1.0 + 2.0 * random.unit())).round() as u32;
+            let size = [width, width * 9 / 16];
+            let survey = planning.survey(size, Vec::new(), Vec::new());
+            let truth = survey.truth(&NamedPose::new(number, "random", camera))?;
+            if truth.covered_pixels() == 0 {
+                continue;
+            }
+            let all: Vec<(f64, f64)> = if number % ALL_EVERY == 0 {
+                let draw = |row: pointillist::accuracy::sweep::Row| {
+                    let (db, ms, _) =
+                        measured(&drawing, camera, size, row.given.into(), &truth.color)?;
+                    Ok((db, ms))
+                };
+                rows(Extent::Planned).into_iter().map(draw).collect::<anyhow::Result<_>>()?
+            } else {
+                Vec::new()
+            };
+            for budget in BUDGETS_MS {
+                let settings = goal(Some(budget), None);
+                let (db, ms, receipt) = measured(&drawing, camera, size, settings, &truth.color)?;
+                let plan = receipt.planned.context("a frame with a goal has a plan")?;
+                own_budgets.see(plan.keeps, ms <= budget, 100.0 * (ms / budget - 1.0));
+                own_budgets.predicted.extend(plan.chosen.map(|chosen| chosen.ms / ms));
+                let fits = all.iter().filter(|(_, ms)| *ms <= budget).map(|(db, _)| *db);
+                let best = fits.fold(f64::NAN, f64::max);
+                own_budgets.lost.extend(Some(best - db).filter(|lost| lost.is_finite()));
+            }
+            for least_db in LEAST_DB {
+                let settings = goal(None, Some(least_db));
+                let (db, ms, receipt) = measured(&drawing, camera, size, settings, &truth.color)?;
+                let plan = receipt.planned.context("a frame with a goal has a plan")?;
+                own_errors.see(plan.keeps, db >= least_db, least_db - db);
+                own_errors.predicted.extend(plan.chosen.map(|chosen| chosen.ms / ms));
+                let keeps = all.iter().filter(|(db, _)| *db >= least_db).map(|(_, ms)| *ms);
+                let best = keeps.fold(f64::NAN, f64::min);
+                own_errors.lost.extend(Some(ms / best).filter(|lost| lost.is_finite()));
+            }
+        }
+        for (what, own, sum) in
+            [("budget", own_budgets, &mut budgets), ("PSNR", own_errors, &mut errors)]
+        {
+            table.push(own.row(&name, what));
+            sum.add(own);
+        }
+        // Printed as they come: a run takes an hour.
+        println!("{name}: {:?}", &table[table.len() - 2..]);
+        report.value(&format!("{name}, poses"), poses);
+    }
+    let mut report = report.context("no scenes")?;
+    table.push(budgets.row("all", "budget"));
+    table.push(errors.row("all", "PSNR"));
+    report.table(
+        "Goals at random poses: budgets of 15, 40 and 120 ms, and 28, 34 and 40 dB",
+        &[
+            "scene",
+            "goal",
+            "frames",
+            "promised",
+            "kept, %",
+            "worst off",
+            "lost, median",
+            "lost, 90 %",
+            "predicted/actual, 5–95 %",
+        ],
+        &table,
+    );
+    report.target("promised budgets kept", budgets.share(), Bound::AtLeast(95.0), "%");
+    report.target("promised PSNR kept", errors.share(), Bound::AtLeast(99.9), "%");
+    let lost = Some(median(&errors.lost)).filter(|lost| lost.is_finite());
+    report.target(
+        "time over the best setting that keeps the PSNR, median",
+        lost,
+        Bound::AtMost(1.03),
+        "times",
+    );
+    report.finish()
+}
+
+impl Found {
+    fn see(&mut self, promised: Option<bool>, is_kept: bool, off: f64) {
+        self.frames += 1;
+        if promised == Some(true) {
+            self.promised += 1;
+            self.kept += usize::from(is_kept);
+            if !is_kept {
+                self.off.push(off);
+            }
+        }
+    }
+
+    fn add(&mut self, other: Found) {
+        self.promised += other.promised;
+        self.kept += other.kept;
+        self.frames += other.frames;
+        self.off.extend(other.off);
+        self.lost.extend(other.lost);
+        self.predicted.extend(other.predicted);
+    }
+
+    fn share(&self) -> Option<f64> {
+        (self.promised > 0).then(|| 100.0 * self.kept as f64 / self.promised as f64)
+    }
+
+    fn row(&self, scene: &str, goal: &str) -> Vec<String> {
+        let ends = [0.05, 0.95].map(|share| number(quantile(&self.predicted, share)));
+        vec![
+            scene.to_owned(),
+            goal.to_owned(),
+            self.frames.to_string(),
+            self.promised.to_string(),
+            self.share().map_or("—".to_owned(), number),
+            number(self.off.iter().copied().fold(0.0, f64::max)),
+            number(median(&self.lost)),
+            number(quantile(&self.lost, 0.9)),
+            ends.join("–"),
+        ]
+    }
+}

@@ -1,0 +1,218 @@
+//! Measures what the planner predicts from: the frames of many settings at poses in all directions and distances, in three sizes.
+//!
+//! A first look at a few poses leaves out settings that others beat in both time and error. The rest is drawn at all poses; the sizes take
+//! turns from pose to pose. Nothing is written to a folder: the engine keeps the measurements beside the point trees.
+
+use std::sync::atomic::AtomicBool;
+use std::time::SystemTime;
+
+use super::date::date;
+use super::journal::Journal;
+use super::poses::{of_cameras, spread};
+use super::results::{ALL_POSES, Entry, Results, Scope};
+use super::survey::{Event, NamedPose, Purpose, Survey, SurveyError};
+use super::sweep::{Row, rows};
+use crate::engine::{Client, Engine, FrameRequest, Pose, SceneInfo};
+use crate::math::{Camera, Lens};
+use crate::plan::planner::{Measured, MeasuredPose, MeasuredRow, Point};
+use crate::plan::{Extent, Settings};
+
+/// Poses at which settings are measured.
+const POSES: usize = 24;
+/// Poses of the first look.
+const FIRST_POSES: usize = 3;
+/// Sizes of frames, as multiples of the least one.
+const SIZES: [u32; 3] = [1, 2, MOST_TIMES];
+/// Side of the largest frames over that of the smallest.
+pub const MOST_TIMES: u32 = 3;
+/// Size of the smallest frames.
+pub const LEAST_SIZE: [u32; 2] = [320, 180];
+/// Timed frames of each setting and pose.
+const REPEATS: u32 = 2;
+/// A setting is beaten by one that is more exact and takes at most this share of its time.
+const BEATEN: f64 = 0.8;
+/// Seed of the order in which frames are timed.
+const SEED: u64 = 1;
+
+/// Measures a scene for the planner.
+pub struct Planning<'a> {
+    pub engine: &'a Engine,
+    /// Client whose share of the device the frames take.
+    pub client: Client,
+    /// Id of the scene in the engine.
+    pub scene: &'a str,
+    /// Size of the smallest frames in pixels.
+    pub least_size: [u32; 2],
+    /// Ends the measurement after the frame at hand.
+    pub stop: &'a AtomicBool,
+}
+
+impl Planning<'_> {
+    /// The survey of some settings at poses of one size.
+    pub fn survey(&self, size: [u32; 2], poses: Vec<NamedPose>, rows: Vec<Row>) -> Survey<'_> {
+        Survey {
+            engine: self.engine,
+            client: self.client,
+            scene: self.scene,
+            poses,
+            rows,
+            size,
+            repeats: REPEATS,
+            seed: SEED,
+            oracle: None,
+            folder: None,
+            purpose: Purpose::Planner,
+            stop: self.stop,
+        }
+    }
+
+    /// Frames that need what only a bake makes, to be baked before.
+    pub fn requests(&self) -> Vec<FrameRequest> {
+        let survey = self.survey(self.least_size, Vec::new(), rows(Extent::Planned));
+        let all =
+            survey.rows.iter().map(|row| Settings::from(row.given)).chain([Settings::exact()]);
+        let request = |settings: Settings| FrameRequest {
+            settings: settings.complete(),
+            ..survey.request_at(Pose::FIT)
+        };
+        all.map(request).filter(|request| self.engine.must_bake(request)).collect()
+    }
+
+    /// Draws and compares all frames.
+    ///
+    /// # Errors
+    /// The engine fails, the adapter has no timestamps, or the measurement is told to stop.
+    pub fn measure(
+        &self,
+        info: &SceneInfo,
+        mut tell: impl FnMut(Event<'_>),
+    ) -> Result<Measured, SurveyError> {
+        let mut poses = self.poses(info)?;
+        let stages = 1 + SIZES.len() as u64;
+        let mut first = self.survey(self.least_size, poses.clone(), rows(Extent::Planned));
+        let blank = first.leave_out_blank()?;
+        if first.poses.is_empty() {
+            return Err(SurveyError::Blank(blank.join(", ")));
+        }
+        poses.clone_from(&first.poses);
+        // Poses from near and far, since they were spread.
+        first.poses.truncate(FIRST_POSES);
+        let looked = run(&first, &mut |event| tell(of_stage(0, stages, event)))?;
+        let kept = unbeaten(&looked, &first.rows);
+        let mut measured =
+            Measured { poses: Vec::new(), rows: kept.iter().map(row_without_points).collect() };
+        for (number, times) in SIZES.into_iter().enumerate() {
+            let size = self.least_size.map(|side| side * times);
+            let own = poses.iter().skip(number).step_by(SIZES.len()).cloned().collect();
+            let survey = self.survey(size, own, kept.clone());
+            let stage = 1 + number as u64;
+            let results = run(&survey, &mut |event| tell(of_stage(stage, stages, event)))?;
+            add(&mut measured, size, &survey, &results);
+        }
+        Ok(measured)
+    }
+
+    /// The cameras of the scene, and views around it.
+    fn poses(&self, info: &SceneInfo) -> Result<Vec<NamedPose>, SurveyError> {
+        let survey = self.survey(self.least_size, Vec::new(), Vec::new());
+        let seen = survey.draw(survey.request_at(Pose::FIT))?.receipt.camera.clone();
+        let lens = Lens::given(seen.fov_deg, seen.ortho_height);
+        let lens = lens.unwrap_or(Lens::Perspective { fov_deg: 40.0 });
+        let [eye, target, up] = [seen.eye, seen.target, seen.up].map(glam::DVec3::from);
+        let view = Camera { eye, target, up, lens };
+        let mut poses = of_cameras(&info.cameras, &[])?;
+        let first = poses.len();
+        poses.extend(spread(&view, first, POSES - first));
+        Ok(poses)
+    }
+}
+
+fn run(survey: &Survey<'_>, tell: &mut dyn FnMut(Event<'_>)) -> Result<Results, SurveyError> {
+    let identity = survey.identity(survey.scene)?;
+    let mut journal = Journal::in_memory(&identity, &date(SystemTime::now()));
+    if !survey.run(&mut journal, tell)? {
+        return Err(SurveyError::Stopped);
+    }
+    Ok(Results::new(identity, journal.date, &survey.rows, &journal.records))
+}
+
+/// Progress of one of several stages that take about equally long, in thousandths.
+fn of_stage(stage: u64, stages: u64, event: Event<'_>) -> Event<'_> {
+    let done = 1000 * stage / stages + 1000 * event.done / (event.total.max(1) * stages);
+    Event { done: done.max(1), total: 1000, what: event.what }
+}
+
+fn poses_of(results: &Results) -> impl Iterator<Item = &Scope> {
+    results.scopes.iter().filter(|scope| scope.name != ALL_POSES)
+}
+
+fn point(entry: &Entry) -> Option<Point> {
+    Some(Point { mse: entry.metrics.mse, ms: entry.gpu_ms?.median })
+}
+
+/// The rows that are not beaten at every pose, and the plain ones of each way to draw samples, since requests may ask for that way.
+fn unbeaten(looked: &Results, rows: &[Row]) -> Vec<Row> {
+    let is_plain = |row: &Row| {
+        let settings = Settings::from(row.given);
+        settings.parts() == 1 && settings.tree_error_px().is_none_or(|px| px == 1.0)
+    };
+    let is_beaten = |scope: &Scope, row: &Row| {
+        let own = scope.entry(&row.label).and_then(point);
+        let others = scope.entries.iter().filter_map(point);
+        own.is_none_or(|own| {
+            let mut others = others;
+            others.any(|other| other.mse <= own.mse && other.ms <= BEATEN * own.ms)
+        })
+    };
+    let is_kept = |row: &&Row| is_plain(row) || poses_of(looked).any(|at| !is_beaten(at, row));
+    rows.iter().filter(is_kept).cloned().collect()
+}
+
+fn row_without_points(row: &Row) -> MeasuredRow {
+    MeasuredRow { label: row.label.clone(), given: row.given, points: Vec::new() }
+}
+
+/// Adds the frames of a survey.
+fn add(measured: &mut Measured, size: [u32; 2], survey: &Survey<'_>, results: &Results) {
+    for (pose, scope) in survey.poses.iter().zip(poses_of(results)) {
+        let Camera { eye, target, up, lens } = pose.camera;
+        measured.poses.push(MeasuredPose {
+            eye: eye.into(),
+            target: target.into(),
+            up: up.into(),
+            fov_deg: lens.fov_deg(),
+            ortho_height: lens.ortho_height(),
+            size,
+        });
+        for row in &mut measured.rows {
+            row.points.push(scope.entry(&row.label).and_then(point));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::accuracy::results::tests::results;
+
+    #[test]
+    fn progress_goes_on_from_stage_to_stage() {
+        let event = |done| Event { done, total: 10, what: "x" };
+        let done = [(0, 1), (0, 10), (1, 1), (3, 10)]
+            .map(|(stage, done)| of_stage(stage, 4, event(done)).done);
+        assert_eq!(done, [25, 250, 275, 1000]);
+        assert_eq!(of_stage(0, 4, Event { done: 0, total: 0, what: "" }).done, 1);
+    }
+
+    #[test]
+    fn beaten_settings_are_left_out() {
+        let found = results();
+        let rows = rows(Extent::Planned);
+        let kept = unbeaten(&found, &rows);
+        assert!(kept.len() < rows.len());
+        // Each way to draw samples stays.
+        for family in rows.iter().map(|row| &row.family) {
+            assert!(kept.iter().any(|row| row.family == *family), "{family}");
+        }
+    }
+}

@@ -1,0 +1,314 @@
+//! Choice of settings for a goal: a time that the frame may take, an error that it may have, or both. Pure.
+//!
+//! Frames of a scene were measured at several poses and sizes, with settings that trade accuracy for time ([`Measured`]). A [`Planner`] fits a
+//! [model](model) to the frames of each setting. For a new pose it predicts time and error of all settings that the request leaves open, and
+//! chooses with margins that the measured frames keep.
+
+mod ground;
+mod measured;
+mod model;
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+pub use ground::Ground;
+pub use measured::{Measured, MeasuredPose, MeasuredRow};
+pub use model::{Effort, LEAST_POSES, Point, Prediction};
+
+use self::model::Model;
+use super::{Given, Settings};
+
+/// Alternatives that a choice lists.
+const MOST_ALTERNATIVES: usize = 6;
+/// Alternatives that are slower and not so much more exact are left out.
+const SEEN_DB: f64 = 0.1;
+/// Frames of other settings that tell as much about a setting's pace as it is believed without any of its own.
+const COMMON: f64 = 2.0;
+/// Most frames of a setting that count for its pace.
+const MOST_FRAMES: f64 = 16.0;
+/// Largest change of a pace by one frame: it may have compiled a shader.
+const MOST_CHANGE: f64 = 1.25;
+/// Range of a pace.
+const PACES: [f64; 2] = [1.0 / 16.0, 16.0];
+
+/// What a frame is asked to keep.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Goal {
+    /// Longest GPU time, in milliseconds.
+    pub budget_ms: Option<f64>,
+    /// Least peak signal-to-noise ratio against the reference, in decibels.
+    pub min_psnr_db: Option<f64>,
+}
+
+/// The measured settings of a scene, each with its model.
+#[derive(Clone, Debug)]
+pub struct Planner {
+    rows: Vec<Row>,
+    poses: usize,
+}
+
+#[derive(Clone, Debug)]
+struct Row {
+    label: String,
+    given: Given,
+    model: Model,
+}
+
+/// How long frames take now, over how long they took when they were measured.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Paces {
+    /// For each row: mean logarithm of the quotients, and number of frames.
+    rows: Vec<(f64, f64)>,
+}
+
+/// A setting that was chosen.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Chosen {
+    pub row: usize,
+    pub settings: Settings,
+    pub plan: PlanReceipt,
+    /// Time in ms that would be predicted if frames took as long as measured ones.
+    pub measured_pace_ms: f64,
+}
+
+/// How settings were chosen for a time budget or an error.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub struct PlanReceipt {
+    /// Longest GPU time that was asked for, in milliseconds.
+    pub budget_ms: Option<f64>,
+    /// Least peak signal-to-noise ratio that was asked for, in decibels.
+    pub min_psnr_db: Option<f64>,
+    /// Whether the chosen setting is expected to keep them; `null` where no measurements tell.
+    pub keeps: Option<bool>,
+    /// Why this setting was chosen.
+    pub because: String,
+    /// The chosen setting and what was predicted for it; `null` without measurements.
+    pub chosen: Option<Alternative>,
+    /// GPU time of the frame, in milliseconds.
+    pub actual_ms: Option<f64>,
+    /// Other settings between the fastest and the most exact.
+    pub alternatives: Vec<Alternative>,
+    /// Number of settings that were compared.
+    pub compared: usize,
+    /// Number of poses at which they were measured.
+    pub poses: usize,
+}
+
+/// A setting with what is predicted for it at the frame's pose and size.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[schema(as = PlanAlternative)]
+pub struct Alternative {
+    /// Name of the setting, as in the results of a measurement.
+    pub setting: String,
+    /// GPU time in milliseconds.
+    pub ms: f64,
+    /// GPU time with its margin, which is compared with the budget.
+    pub most_ms: f64,
+    /// Peak signal-to-noise ratio against the reference, in decibels.
+    pub psnr_db: f64,
+    /// Peak signal-to-noise ratio with its margin, which is compared with the least one.
+    pub least_psnr_db: f64,
+}
+
+impl Goal {
+    fn keeps(&self, found: &Prediction) -> bool {
+        self.keeps_budget(found)
+            && self.min_psnr_db.is_none_or(|least_db| found.least_psnr_db >= least_db)
+    }
+
+    fn keeps_budget(&self, found: &Prediction) -> bool {
+        self.budget_ms.is_none_or(|budget_ms| found.most_ms <= budget_ms)
+    }
+
+    /// The goal in words.
+    fn in_words(&self) -> String {
+        let budget = self.budget_ms.map(|ms| format!("{ms} ms"));
+        let least = self.min_psnr_db.map(|db| format!("{db} dB"));
+        [budget, least].into_iter().flatten().collect::<Vec<_>>().join(" and ")
+    }
+
+    /// The receipt of a frame for which nothing can be chosen.
+    pub fn unplanned(&self, because: String) -> PlanReceipt {
+        PlanReceipt {
+            budget_ms: self.budget_ms,
+            min_psnr_db: self.min_psnr_db,
+            keeps: None,
+            because,
+            chosen: None,
+            actual_ms: None,
+            alternatives: Vec::new(),
+            compared: 0,
+            poses: 0,
+        }
+    }
+}
+
+impl Planner {
+    /// Fits models to measured frames. `grounds` are those of the poses. Settings with fewer than [`LEAST_POSES`] measured poses are left
+    /// out.
+    pub fn fit(measured: &Measured, grounds: &[Ground]) -> Planner {
+        let row = |row: &MeasuredRow| {
+            let points: Vec<(Ground, Point)> = grounds
+                .iter()
+                .zip(&row.points)
+                .filter_map(|(ground, point)| Some((ground.clone(), (*point)?)))
+                .collect();
+            let model = Model::fit(effort(&row.given), &points)?;
+            Some(Row { label: row.label.clone(), given: row.given, model })
+        };
+        Planner { rows: measured.rows.iter().filter_map(row).collect(), poses: grounds.len() }
+    }
+
+    /// Number of settings to choose from.
+    pub fn len(&self) -> usize {
+        self.rows.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+
+    /// Chooses settings for a request with this goal. `allows` tells which of them can be drawn. `None` if none can.
+    pub fn choose(
+        &self,
+        goal: &Goal,
+        asked: &Settings,
+        ground: &Ground,
+        paces: &Paces,
+        allows: impl Fn(&Settings) -> bool,
+    ) -> Option<Chosen> {
+        let found: Vec<(usize, Settings, Prediction)> = self
+            .rows
+            .iter()
+            .enumerate()
+            .filter_map(|(index, row)| {
+                let settings = asked.planned(&row.given).filter(&allows)?;
+                Some((index, settings, row.model.predict(ground, paces.of(index))))
+            })
+            .collect();
+        let (best, because) = pick(goal, &found)?;
+        let (row, settings, prediction) = found[best];
+        let front = self.front(&found, best);
+        let plan = PlanReceipt {
+            keeps: Some(goal.keeps(&prediction)),
+            chosen: Some(self.alternative(row, &prediction)),
+            alternatives: front,
+            compared: found.len(),
+            poses: self.poses,
+            ..goal.unplanned(because)
+        };
+        let measured_pace_ms = prediction.ms / paces.of(row);
+        Some(Chosen { row, settings, plan, measured_pace_ms })
+    }
+
+    fn alternative(&self, row: usize, found: &Prediction) -> Alternative {
+        // Two decimals of a millisecond and of a decibel say all that is known.
+        let rounded = |number: f64| (number * 100.0).round() / 100.0;
+        Alternative {
+            setting: self.rows[row].label.clone(),
+            ms: rounded(found.ms),
+            most_ms: rounded(found.most_ms),
+            psnr_db: rounded(found.psnr_db),
+            least_psnr_db: rounded(found.least_psnr_db),
+        }
+    }
+
+    /// Settings that no other one beats in predicted time and error, but the chosen one: from the fastest to the most exact.
+    fn front(&self, found: &[(usize, Settings, Prediction)], but: usize) -> Vec<Alternative> {
+        let mut order: Vec<usize> = (0..found.len()).collect();
+        order.sort_by(|&a, &b| found[a].2.ms.total_cmp(&found[b].2.ms));
+        let mut most_db = f64::NEG_INFINITY;
+        order.retain(|&at| {
+            let is_better = found[at].2.psnr_db >= most_db + SEEN_DB;
+            if is_better {
+                most_db = found[at].2.psnr_db;
+            }
+            is_better && at != but
+        });
+        // Those whose time is next to the chosen one's.
+        let chosen_ms = found[but].2.ms;
+        let after = order.partition_point(|&at| found[at].2.ms < chosen_ms);
+        let begin = after.saturating_sub(MOST_ALTERNATIVES / 2);
+        let begin = begin.min(order.len().saturating_sub(MOST_ALTERNATIVES));
+        let shown = order.iter().skip(begin).take(MOST_ALTERNATIVES);
+        shown.map(|&at| self.alternative(found[at].0, &found[at].2)).collect()
+    }
+}
+
+/// The best of the predicted settings, and why.
+fn pick(goal: &Goal, found: &[(usize, Settings, Prediction)]) -> Option<(usize, String)> {
+    let fastest = |among: &mut dyn Iterator<Item = usize>| {
+        among.min_by(|&a, &b| found[a].2.ms.total_cmp(&found[b].2.ms))
+    };
+    let most_exact = |among: &mut dyn Iterator<Item = usize>| {
+        among.max_by(|&a, &b| {
+            let by_error = found[a].2.least_psnr_db.total_cmp(&found[b].2.least_psnr_db);
+            by_error.then(found[b].2.ms.total_cmp(&found[a].2.ms))
+        })
+    };
+    let of = |test: &dyn Fn(&Prediction) -> bool| {
+        (0..found.len()).filter(|&at| test(&found[at].2)).collect::<Vec<usize>>().into_iter()
+    };
+    let all = || of(&|_| true);
+    let asked = goal.in_words();
+    if goal.min_psnr_db.is_some()
+        && let Some(best) = fastest(&mut of(&|one| goal.keeps(one)))
+    {
+        return Some((best, format!("the fastest setting that keeps {asked}")));
+    }
+    if let Some(best) =
+        most_exact(&mut of(&|one| goal.keeps_budget(one)).filter(|_| goal.budget_ms.is_some()))
+    {
+        return Some(match goal.min_psnr_db {
+            None => (best, format!("the most exact setting that keeps {asked}")),
+            Some(_) => (
+                best,
+                format!(
+                    "no setting is known to keep {asked}; this is the most exact one that keeps the time"
+                ),
+            ),
+        });
+    }
+    let none = format!("no setting is known to keep {asked}");
+    match goal.budget_ms {
+        Some(_) => Some((fastest(&mut all())?, format!("{none}; this is the fastest one"))),
+        None => Some((most_exact(&mut all())?, format!("{none}; this is the most exact one"))),
+    }
+}
+
+/// What a setting means for the work of a frame.
+fn effort(given: &Given) -> Effort {
+    let settings = Settings::from(*given);
+    Effort { error_px: settings.tree_error_px(), parts: f64::from(settings.parts()).powi(2) }
+}
+
+impl Paces {
+    /// How many times as long as measured frames those of a row take.
+    pub fn of(&self, row: usize) -> f64 {
+        let all: f64 = self.rows.iter().map(|(_, frames)| frames).sum();
+        let common = self.rows.iter().map(|(log, frames)| log * frames).sum::<f64>() / all.max(1.0);
+        let (log, frames) = self.rows.get(row).copied().unwrap_or_default();
+        ((log * frames + common * COMMON) / (frames + COMMON)).exp()
+    }
+
+    /// Takes a frame of a row into account that took `actual_ms`, and `measured_pace_ms` at the pace of measured ones.
+    pub fn see(&mut self, row: usize, measured_pace_ms: f64, actual_ms: f64) {
+        let quotient = actual_ms / measured_pace_ms;
+        if !(quotient.is_finite() && quotient > 0.0) {
+            return;
+        }
+        if self.rows.len() <= row {
+            self.rows.resize(row + 1, (0.0, 0.0));
+        }
+        let (log, frames) = &mut self.rows[row];
+        let most = MOST_CHANGE.ln();
+        let [least_pace, most_pace] = PACES.map(f64::ln);
+        let off = (quotient.ln() - *log).clamp(-most, most);
+        *frames = (*frames + 1.0).min(MOST_FRAMES);
+        *log = (*log + off / frames.min(4.0)).clamp(least_pace, most_pace);
+    }
+}
+
+#[cfg(test)]
+mod tests;

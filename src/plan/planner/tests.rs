@@ -1,0 +1,260 @@
+use glam::DVec3;
+use proptest::prelude::*;
+use proptest::test_runner::RngSeed;
+
+use super::*;
+use crate::bake::spacing::Patch;
+use crate::math::{Camera, Lens};
+use crate::plan::Reconstruct;
+
+const COUNT: f64 = 1e6;
+
+/// A surface of samples, seen from a distance, in a frame of this width.
+fn ground_at(distance: f64, width: u32) -> Ground {
+    let patch = |x: f64| Patch {
+        centre: DVec3::new(x, 0.0, 0.0),
+        radius: 0.5,
+        spacing: 0.002,
+        count: COUNT / 4.0,
+    };
+    let patches: Vec<Patch> = [-0.75, -0.25, 0.25, 0.75].map(patch).into();
+    let camera = Camera {
+        eye: DVec3::new(0.0, 0.0, distance),
+        target: DVec3::ZERO,
+        up: DVec3::Y,
+        lens: Lens::Perspective { fov_deg: 40.0 },
+    };
+    Ground::new([&patches, &[], &[]], &camera.view(width, width / 2).unwrap())
+}
+
+fn given(pairs: &[(&str, &str)]) -> Given {
+    let mut given = Given::default();
+    pairs.iter().for_each(|(name, value)| given.set_text(name, value).unwrap());
+    given
+}
+
+const FULL: &[(&str, &str)] = &[("lod", "full"), ("reconstruct", "splats")];
+const TREES: &[(&str, &str)] = &[("lod", "spt"), ("max_error_px", "1"), ("reconstruct", "splats")];
+const COARSE: &[(&str, &str)] = &[("lod", "spt"), ("max_error_px", "4"), ("reconstruct", "points")];
+const FINE: &[(&str, &str)] = &[("lod", "full"), ("reconstruct", "splats"), ("antialias", "4x")];
+
+/// A time that the linear model can express, with factors of its own for each row, and an error that grows with the distance of samples.
+fn point(row: usize, given: &Given, ground: &Ground) -> Point {
+    let effort = effort(given);
+    let load = ground.load(effort.error_px);
+    let ms = 0.5 + 1e-5 * ground.pixels * effort.parts + 2e-5 * load.samples;
+    let db = [36.0, 34.0, 28.0, 44.0][row] - 10.0 * ground.covered.log10();
+    Point { mse: 65025.0 / 10f64.powf(0.1 * db), ms }
+}
+
+fn rows() -> Vec<(&'static str, Given)> {
+    [("splats full", FULL), ("splats spt 1 px", TREES), ("points spt 4 px", COARSE), ("fine", FINE)]
+        .map(|(label, pairs)| (label, given(pairs)))
+        .into()
+}
+
+fn planner() -> (Planner, Vec<Ground>) {
+    let places = [1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0];
+    let grounds: Vec<Ground> = places
+        .iter()
+        .enumerate()
+        .map(|(at, &distance)| ground_at(distance, [320, 640][at % 2]))
+        .collect();
+    let row = |(index, (label, given)): (usize, (&str, Given))| MeasuredRow {
+        label: label.to_owned(),
+        given,
+        points: grounds.iter().map(|ground| Some(point(index, &given, ground))).collect(),
+    };
+    let rows = rows().into_iter().enumerate().map(row).collect();
+    let planner = Planner::fit(&Measured { poses: Vec::new(), rows }, &grounds);
+    (planner, grounds)
+}
+
+fn asked(pairs: &[(&str, &str)]) -> Settings {
+    given(pairs).resolve().unwrap()
+}
+
+fn choose(planner: &Planner, pairs: &[(&str, &str)], ground: &Ground) -> Option<Chosen> {
+    let asked = asked(pairs);
+    planner.choose(&asked.goal()?, &asked, ground, &Paces::default(), |_| true)
+}
+
+#[test]
+fn predictions_hit_frames_between_measured_ones() {
+    let (planner, _) = planner();
+    for (distance, width) in [(1.7, 400), (2.5, 500), (5.0, 320), (10.0, 640), (10.0, 1600)] {
+        let ground = ground_at(distance, width);
+        for (row, (label, given)) in rows().iter().enumerate() {
+            let found = planner.rows[row].model.predict(&ground, 1.0);
+            let truth = point(row, given, &ground);
+            let db = 10.0 * (65025.0 / truth.mse).log10();
+            assert!(
+                (found.ms / truth.ms).ln().abs() < 0.05,
+                "{label} at {distance}: {found:?}, {truth:?}"
+            );
+            assert!((found.psnr_db - db).abs() < 0.3, "{label} at {distance}: {found:?}, {db}");
+            assert!(found.most_ms >= found.ms && found.least_psnr_db < found.psnr_db);
+            let slow = planner.rows[row].model.predict(&ground, 2.0);
+            assert!((slow.ms / found.ms - 2.0).abs() < 1e-9);
+        }
+    }
+}
+
+#[test]
+fn a_budget_gets_the_most_exact_setting_and_an_error_the_fastest() {
+    let (planner, grounds) = planner();
+    let ground = &grounds[4];
+    let ample = choose(&planner, &[("budget_ms", "1000")], ground).unwrap();
+    assert_eq!(ample.plan.chosen.as_ref().unwrap().setting, "fine");
+    assert_eq!((ample.plan.keeps, ample.settings.parts()), (Some(true), 2));
+    assert!(ample.settings.goal().is_none());
+    let times: Vec<f64> = ample.plan.alternatives.iter().map(|one| one.ms).collect();
+    assert!(times.is_sorted() && !times.is_empty(), "{times:?}");
+    let none = choose(&planner, &[("budget_ms", "0.01")], ground).unwrap();
+    assert_eq!(none.plan.keeps, Some(false));
+    assert_eq!(none.plan.chosen.unwrap().setting, "points spt 4 px");
+    assert!(
+        none.plan.because.contains("no setting is known to keep 0.01 ms"),
+        "{}",
+        none.plan.because
+    );
+
+    let own_db = 10.0 * (65025.0 / point(1, &rows()[1].1, ground).mse).log10();
+    let least = format!("{}", (own_db - 1.5).floor());
+    let exact = choose(&planner, &[("min_psnr_db", &least)], ground).unwrap();
+    assert_eq!(exact.plan.chosen.as_ref().unwrap().setting, "splats spt 1 px", "{:?}", exact.plan);
+    assert_eq!(exact.plan.keeps, Some(true));
+    let exact = choose(&planner, &[("min_psnr_db", "90")], ground).unwrap();
+    assert_eq!(exact.plan.chosen.unwrap().setting, "fine");
+    assert_eq!(exact.plan.keeps, Some(false));
+    let both = choose(&planner, &[("min_psnr_db", &least), ("budget_ms", "0.02")], ground).unwrap();
+    assert_eq!(both.plan.keeps, Some(false));
+}
+
+#[test]
+fn what_is_given_stays() {
+    let (planner, grounds) = planner();
+    let ground = &grounds[4];
+    let label = |pairs: &[(&str, &str)]| {
+        let chosen = choose(&planner, pairs, ground)?;
+        Some((chosen.plan.chosen.unwrap().setting, chosen.settings))
+    };
+    let budget = ("budget_ms", "1000");
+    assert_eq!(label(&[budget, ("lod", "spt")]).unwrap().0, "splats spt 1 px");
+    assert_eq!(label(&[budget, ("reconstruct", "points")]).unwrap().0, "points spt 4 px");
+    assert_eq!(label(&[budget, ("reconstruct", "auto")]).unwrap().0, "fine");
+    assert_eq!(label(&[budget, ("antialias", "off")]).unwrap().0, "splats full");
+    // An upper bound, with and without a level of detail.
+    let (found, settings) = label(&[budget, ("max_error_px", "2"), ("lod", "spt")]).unwrap();
+    assert_eq!((found.as_str(), settings.max_error_px.px()), ("splats spt 1 px", 1.0));
+    assert_eq!(
+        label(&[("budget_ms", "0.01"), ("max_error_px", "2")]).unwrap().0,
+        "splats spt 1 px"
+    );
+    // What no row varies is kept in all of them.
+    let (_, settings) = label(&[budget, ("filter", "exact"), ("background", "#102030")]).unwrap();
+    let kept = asked(&[("filter", "exact"), ("background", "#102030")]);
+    assert_eq!((settings.filter, settings.background), (kept.filter, kept.background));
+    assert!(label(&[budget, ("reconstruct", "painted")]).is_none());
+    // Round points exclude splats.
+    let (found, settings) = label(&[budget, ("point_size_px", "3")]).unwrap();
+    assert_eq!((found.as_str(), settings.reconstruct), ("points spt 4 px", Reconstruct::Points));
+}
+
+#[test]
+fn settings_that_cannot_be_drawn_are_not_chosen() {
+    let (planner, grounds) = planner();
+    let asked = asked(&[("budget_ms", "1000")]);
+    let goal = asked.goal().unwrap();
+    let paces = Paces::default();
+    let one = |settings: &Settings| settings.parts() == 1;
+    let chosen = planner.choose(&goal, &asked, &grounds[0], &paces, one).unwrap();
+    assert_eq!(chosen.plan.chosen.unwrap().setting, "splats full");
+    assert_eq!(chosen.plan.compared, 3);
+    assert!(planner.choose(&goal, &asked, &grounds[0], &paces, |_| false).is_none());
+}
+
+#[test]
+fn too_few_poses_tell_nothing() {
+    let grounds: Vec<Ground> = [2.0, 3.0, 4.0].map(|distance| ground_at(distance, 320)).into();
+    let given = given(FULL);
+    let points = grounds.iter().map(|ground| Some(point(0, &given, ground))).collect();
+    let rows = vec![MeasuredRow { label: "splats full".into(), given, points }];
+    let planner = Planner::fit(&Measured { poses: Vec::new(), rows }, &grounds);
+    assert!(planner.is_empty());
+}
+
+#[test]
+fn a_goal_is_stored_without_what_is_left_open() {
+    let asked = asked(&[("budget_ms", "10"), ("max_error_px", "2"), ("edl", "off")]);
+    let stored = asked.applied();
+    let names: Vec<String> = stored.pairs().into_iter().map(|(name, _)| name).collect();
+    assert!(names.iter().all(|name| name != "lod" && name != "reconstruct"), "{names:?}");
+    assert_eq!(stored.max_error_px, Some(2.0));
+    assert_eq!(Settings::from(stored), asked);
+    // Without a goal, the error needs its level of detail.
+    assert!(given(&[("max_error_px", "2")]).resolve().is_err());
+}
+
+#[test]
+fn paces_follow_frames() {
+    let mut paces = Paces::default();
+    assert_eq!(paces.of(3), 1.0);
+    for _ in 0..40 {
+        paces.see(1, 10.0, 20.0);
+    }
+    assert!((paces.of(1) - 2.0).abs() < 0.02, "{}", paces.of(1));
+    // Others are slower as well, as far as is known.
+    assert!((paces.of(0) - 2.0).abs() < 0.02, "{}", paces.of(0));
+    for _ in 0..40 {
+        paces.see(0, 10.0, 10.0);
+    }
+    assert!((paces.of(0) - 1.0).abs() < 0.1 && (paces.of(1) - 2.0).abs() < 0.2);
+    // One frame that waited for a compiler changes little.
+    let before = paces.of(0);
+    paces.see(0, 10.0, 100_000.0);
+    assert!(paces.of(0) < before * MOST_CHANGE);
+    paces.see(0, 0.0, 1.0);
+    paces.see(0, 1.0, f64::NAN);
+    assert!(paces.of(0).is_finite());
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 64, rng_seed: RngSeed::Fixed(0x51ea_0020), ..ProptestConfig::default() })]
+    /// Whatever was measured, predictions are finite and chosen settings keep what the receipt says.
+    #[test]
+    fn choices_keep_what_they_say(
+        points in prop::collection::vec((0.0f64..70_000.0, 1e-3f64..1e5), 32),
+        budget in 0.01f64..1000.0,
+        least_db in 1.0f64..90.0,
+        distance in 0.01f64..1e6,
+    ) {
+        let grounds: Vec<Ground> =
+            (0..8).map(|at| ground_at(1.5f64.powi(at), 320)).collect();
+        let measured_rows = rows().into_iter().enumerate().map(|(row, (label, given))| MeasuredRow {
+            label: label.to_owned(),
+            given,
+            points: points[8 * row..8 * (row + 1)].iter().map(|&(mse, ms)| Some(Point { mse, ms })).collect(),
+        });
+        let measured = Measured { poses: Vec::new(), rows: measured_rows.collect() };
+        let planner = Planner::fit(&measured, &grounds);
+        let ground = ground_at(distance, 640);
+        for row in &planner.rows {
+            let found = row.model.predict(&ground, 1.0);
+            prop_assert!(found.ms > 0.0 && found.most_ms >= found.ms && found.most_ms.is_finite());
+            prop_assert!(found.psnr_db.is_finite() && found.least_psnr_db <= found.psnr_db);
+        }
+        let goals = [(Some(budget), None), (None, Some(least_db)), (Some(budget), Some(least_db))];
+        for (budget_ms, min_psnr_db) in goals {
+            let goal = Goal { budget_ms, min_psnr_db };
+            let asked = Settings::from(Given { budget_ms, min_psnr_db, ..Given::default() });
+            let chosen = planner.choose(&goal, &asked, &ground, &Paces::default(), |_| true).unwrap();
+            let found = planner.rows[chosen.row].model.predict(&ground, 1.0);
+            prop_assert_eq!(chosen.plan.keeps, Some(goal.keeps(&found)));
+            if chosen.plan.keeps == Some(false) {
+                let any = planner.rows.iter().any(|row| goal.keeps(&row.model.predict(&ground, 1.0)));
+                prop_assert!(!any, "another setting keeps {:?}", goal);
+            }
+        }
+    }
+}

@@ -1,0 +1,88 @@
+//! Settings that are chosen for a goal, and those that the request gives itself.
+
+use serde_json::{Map, Value};
+
+use super::{Budget, Given, MinPsnr, Setting, SettingKind, Settings, declared, kept, words};
+use crate::plan::planner::Goal;
+
+/// The settings that trade accuracy for time and that a request gives, as bits in the order of their declaration. None without a goal, since nothing is chosen then.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Pinned(u64);
+
+const _: () = assert!(Given::NAMES.len() <= 64);
+
+impl Settings {
+    /// What the frame is asked to keep, where settings are to be chosen for it.
+    pub fn goal(&self) -> Option<Goal> {
+        let (budget_ms, min_psnr_db) = (self.budget_ms.ms(), self.min_psnr_db.db());
+        let is_any = budget_ms.is_some() || min_psnr_db.is_some();
+        is_any.then_some(Goal { budget_ms, min_psnr_db })
+    }
+
+    /// The settings without a goal.
+    #[must_use]
+    pub fn without_goal(&self) -> Settings {
+        let (budget_ms, min_psnr_db) = (Budget::default(), MinPsnr::default());
+        Settings { budget_ms, min_psnr_db, pinned: Pinned::default(), ..*self }
+    }
+
+    pub(super) fn with_pinned<const N: usize>(self, given: [bool; N]) -> Settings {
+        if self.goal().is_none() {
+            return self;
+        }
+        let bits = given.iter().zip(declared()).enumerate();
+        let bits = bits.filter(|(_, (is_given, setting))| **is_given && setting.trades.is_some());
+        let pinned = Pinned(bits.fold(0, |bits, (index, _)| bits | 1 << index));
+        Settings { pinned, ..self }
+    }
+
+    /// Names of the settings that are to be chosen: those that trade accuracy for time and are not given, or are `auto`.
+    pub(super) fn open(&self) -> Vec<&'static str> {
+        if self.goal().is_none() {
+            return Vec::new();
+        }
+        let values = words(self);
+        let is_given = |index: usize, name: &str| {
+            self.pinned.0 >> index & 1 == 1
+                && values.get(name).and_then(Value::as_str) != Some("auto")
+        };
+        let named = declared().iter().enumerate().filter(|(_, setting)| setting.trades.is_some());
+        let open = named.filter(|(index, setting)| !is_given(*index, setting.name));
+        open.map(|(_, setting)| setting.name).collect()
+    }
+
+    /// The settings with those that are open as in `candidate`, and without a goal. `None` where the candidate contradicts what is given:
+    /// another choice, or a larger number than the given one, which is an upper bound.
+    pub fn planned(&self, candidate: &Given) -> Option<Settings> {
+        let (open, own) = (self.open(), words(self));
+        let (plain, values): (_, Map<String, Value>) =
+            (words(&Settings::default()), words(candidate));
+        let is_own = |setting: &Setting| own.get(setting.name) != plain.get(setting.name);
+        let mut given = kept(&words(&self.without_goal()), &open, is_own);
+        for setting in declared().iter().filter(|setting| setting.trades.is_some()) {
+            let value = values.get(setting.name);
+            let chosen = match (&setting.kind, value) {
+                _ if open.contains(&setting.name) => value.cloned(),
+                (SettingKind::Number { .. }, _) => {
+                    let most = own.get(setting.name).and_then(Value::as_f64);
+                    if value.and_then(Value::as_f64) > most {
+                        return None;
+                    }
+                    value.cloned()
+                }
+                (SettingKind::Choice { default, .. }, _) => {
+                    let word = value.and_then(Value::as_str).or(default.as_deref());
+                    let asked = own.get(setting.name).and_then(Value::as_str);
+                    if word.is_some() && word != asked {
+                        return None;
+                    }
+                    continue;
+                }
+                _ => continue,
+            };
+            given.set(setting.name, chosen.unwrap_or(Value::Null)).ok()?;
+        }
+        let settings = given.resolve().ok()?;
+        Some(Settings { decide_for: self.decide_for, wait: self.wait, ..settings })
+    }
+}
