@@ -28,6 +28,7 @@ mod cloud_cache;
 mod config;
 mod encode_backlog;
 mod encoders;
+mod entity_tag;
 mod error;
 mod estimates;
 mod finish;
@@ -91,6 +92,7 @@ pub use trace::{Origin, RequestId};
 
 use crate::bake::uncovered::uncovered_share;
 use crate::memory::{self, Admission};
+use crate::plan::Settings;
 use crate::plan::planner::Measured;
 use crate::residency::Part;
 use crate::residency::model::AssetModel;
@@ -310,6 +312,17 @@ impl Engine {
     pub fn learn(&self, id: &str, measured: Measured) -> Result<usize, EngineError> {
         let state = self.state();
         Ok(state.planners.learn(state, &*state.loaded(id)?, measured))
+    }
+
+    /// The settings for the frames of a film: the goal of the requests is kept by all of them. `None` for requests without a goal.
+    ///
+    /// # Errors
+    /// Any error of a request.
+    pub fn settings_for_all(
+        &self,
+        requests: &[FrameRequest],
+    ) -> Result<Option<Settings>, EngineError> {
+        resolve::settings_for_all(self.state(), requests)
     }
 
     /// Numbers of settings and poses that were measured of this content of a scene on this adapter; `None` without measurements.

@@ -12,13 +12,12 @@ use sha2::{Digest, Sha256};
 
 use super::FrameRequest;
 use super::loaded::Loaded;
-use super::resolve::fits;
 use super::state::EngineState;
 use crate::bake::cache::BakeCache;
 use crate::bake::pack::GeometryKind;
 use crate::math::View;
 use crate::plan::Output;
-use crate::plan::planner::{Ground, Measured, Paces, PlanReceipt, Planner};
+use crate::plan::planner::{Goal, Ground, Measured, Paces, PlanReceipt, Planner};
 
 /// Version of a note.
 const VERSION: u32 = 1;
@@ -63,6 +62,12 @@ pub struct PlannedFrame {
     pub receipt: PlanReceipt,
     /// Where they were chosen from, the chosen row, and its predicted time in ms at the pace of measured frames.
     from: Option<(Arc<Known>, usize, f64)>,
+}
+
+impl PlannedFrame {
+    pub fn goal(&self) -> Goal {
+        Goal { budget_ms: self.receipt.budget_ms, min_psnr_db: self.receipt.min_psnr_db }
+    }
 }
 
 impl Known {
@@ -172,12 +177,15 @@ fn key(state: &EngineState, loaded: &Loaded) -> Key {
     hasher.finalize().into()
 }
 
-/// The request with settings chosen for its goal, and how they were chosen; `None` for a request without a goal.
+/// The request with settings chosen for its goal, and how they were chosen; `None` for a request without a goal. With several views, frames of all of
+/// them are to keep the goal, and the choice does not depend on how long frames take now. Outputs other than colours are drawn with the settings that the
+/// colours have. `fits` tells which requests are within the limits of frames.
 pub fn planned(
     state: &EngineState,
     loaded: &Loaded,
     request: FrameRequest,
-    view: &View,
+    views: &[View],
+    fits: impl Fn(&FrameRequest) -> bool,
 ) -> (FrameRequest, Option<PlannedFrame>) {
     let Some(goal) = request.settings.goal() else { return (request, None) };
     let asked = request.settings;
@@ -186,21 +194,22 @@ pub fn planned(
         let receipt = goal.unplanned(because.to_owned());
         (with(asked.without_goal()), Some(PlannedFrame { receipt, from: None }))
     };
-    if request.output != Output::Color {
-        return unplanned("settings are chosen for colours only");
-    }
     let known = state.planners.find(key(state, loaded), loaded);
     let Some(known) = known.filter(|known| !known.planner.is_empty()) else {
         return unplanned(
             "the scene was not measured for the planner on this adapter, so the settings are those without a goal",
         );
     };
-    let paces = known.pace.lock().paces.clone();
-    let fits = |settings: &_| fits(state, &with(*settings));
-    let chosen = known.planner.choose(&goal, &asked, &ground(loaded, view), &paces, fits);
-    let Some(chosen) = chosen else {
+    let paces = match views {
+        [_] => known.pace.lock().paces.clone(),
+        _ => Paces::default(),
+    };
+    let fits = |settings: &_| fits(&with(*settings));
+    let grounds: Vec<Ground> = views.iter().map(|view| ground(loaded, view)).collect();
+    let Some(chosen) = known.planner.choose(&goal, &asked, &grounds, &paces, fits) else {
         return unplanned("no measured setting goes with those that are given");
     };
-    let from = Some((known, chosen.row, chosen.measured_pace_ms));
+    let is_color = request.output == Output::Color;
+    let from = is_color.then_some((known, chosen.row, chosen.measured_pace_ms));
     (with(chosen.settings), Some(PlannedFrame { receipt: chosen.plan, from }))
 }

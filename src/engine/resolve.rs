@@ -3,10 +3,9 @@
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 
-use sha2::{Digest, Sha256};
-
 use super::bake_service::{BakeTicket, Goal};
 use super::choices::{choose_for, grounds, magnification, with_detail};
+use super::entity_tag::{Tagged, entity_tag};
 use super::loaded::Loaded;
 use super::planner::{self, PlannedFrame};
 use super::queue::cost::CostKey;
@@ -15,7 +14,7 @@ use super::resolved::{Drawing, ResolvedFrame};
 use super::state::{Adapter, EngineState};
 use super::viewpoint::{clip_region, pose};
 use super::{EngineError, FrameRequest};
-use crate::encode::{self, EncodeError, ImageFormat};
+use crate::encode::{self, EncodeError};
 use crate::math::View;
 use crate::passes::{Levels, PAINTED_BYTES, PATCH_BYTES, SLABS_BYTES, Slabs};
 use crate::plan::auto::{self, Choice};
@@ -150,11 +149,6 @@ fn check_size(state: &EngineState, request: &FrameRequest) -> Result<(), EngineE
     Ok(())
 }
 
-/// Whether a frame with these settings is within the limits.
-pub fn fits(state: &EngineState, request: &FrameRequest) -> bool {
-    check_size(state, request).is_ok()
-}
-
 /// The request with its settings chosen, where it has a goal, and how they were chosen.
 ///
 /// # Errors
@@ -164,16 +158,45 @@ fn prepared(
     loaded: &Loaded,
     request: FrameRequest,
 ) -> Result<(FrameRequest, Option<PlannedFrame>), EngineError> {
-    let mut planned = None;
-    let mut request = request;
-    if request.settings.goal().is_some() {
-        // The chosen settings have an antialiasing of their own.
-        let settings = Settings { antialias: Antialias::Off, ..request.settings };
-        let Checked { view, .. } =
-            check(state, loaded, &FrameRequest { settings, ..request.clone() })?;
-        (request, planned) = planner::planned(state, loaded, request, &view);
-    }
+    let (request, planned) = if request.settings.goal().is_some() {
+        let view = view_of(state, loaded, &request)?;
+        planner::planned(state, loaded, request, &[view], |one| check_size(state, one).is_ok())
+    } else {
+        (request, None)
+    };
     Ok((request.with_antialias_decided(), planned))
+}
+
+/// The view of a request whose settings are yet to be chosen: they have an antialiasing of their own.
+fn view_of(
+    state: &EngineState,
+    loaded: &Loaded,
+    request: &FrameRequest,
+) -> Result<View, EngineError> {
+    let settings = Settings { antialias: Antialias::Off, ..request.settings };
+    Ok(check(state, loaded, &FrameRequest { settings, ..request.clone() })?.view)
+}
+
+/// The settings for the frames of a film: the goal of the requests, if they have one, is kept by all of them.
+///
+/// # Errors
+/// Any error of a request.
+pub fn settings_for_all(
+    state: &EngineState,
+    requests: &[FrameRequest],
+) -> Result<Option<Settings>, EngineError> {
+    let Some(first) = requests.first().filter(|first| first.settings.goal().is_some()) else {
+        return Ok(None);
+    };
+    let loaded = state.loaded(&first.scene)?;
+    let views: Vec<View> = requests
+        .iter()
+        .map(|request| view_of(state, &loaded, request))
+        .collect::<Result<_, EngineError>>()?;
+    let (chosen, _) = planner::planned(state, &loaded, first.clone(), &views, |one| {
+        check_size(state, one).is_ok()
+    });
+    Ok(Some(chosen.settings))
 }
 
 fn unfit_format(error: EncodeError) -> EngineError {
@@ -266,8 +289,8 @@ pub fn resolve_in(
     };
     Ok(match baked {
         Ok(model) => {
-            let frame = decide(state, &loaded, drawn, full_because, checked, model);
-            Resolution::Ready(Arc::new(ResolvedFrame { planned, ..frame }))
+            let frame = decide(state, &loaded, drawn, (full_because, planned), checked, model);
+            Resolution::Ready(Arc::new(frame))
         }
         Err(goal) => {
             let (state, request) = (state.clone(), asked);
@@ -362,7 +385,7 @@ fn decide(
     state: &EngineState,
     loaded: &Arc<Loaded>,
     request: FrameRequest,
-    full_because: Option<String>,
+    (full_because, planned): (Option<String>, Option<PlannedFrame>),
     Checked { view, camera, clip }: Checked,
     (model, facts): (Arc<SceneModel>, SceneFacts),
 ) -> ResolvedFrame {
@@ -428,8 +451,12 @@ fn decide(
     };
     let in_three_passes =
         (blended.is_some() && refused.is_none()).then(|| way(&other, Some(too_many)));
-    let tagged =
-        Tagged { auto: auto.as_ref(), drawing: &drawing, is_provisional: provisional.is_some() };
+    let tagged = Tagged {
+        auto: auto.as_ref(),
+        goal: planned.as_ref().map(PlannedFrame::goal),
+        drawing: &drawing,
+        is_provisional: provisional.is_some(),
+    };
     let key = entity_tag(loaded, &request, &tagged, &view, &adapter);
     let cost_key = cost_key(&request, &settings);
     ResolvedFrame {
@@ -446,7 +473,7 @@ fn decide(
         key,
         cost_key,
         adapter: adapter.name,
-        planned: None,
+        planned,
         scene: loaded.clone(),
         picks: Arc::default(),
     }
@@ -520,62 +547,4 @@ fn no_pyramid(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str>
     let bytes = Levels::of(drawn_size(request)).pixels() * PATCH_BYTES;
     (bytes > adapter.max_binding_bytes)
         .then_some("the adapter cannot bind the pyramid of so many pixels; a smaller frame has one")
-}
-
-/// Inputs of an entity tag besides the scene, the request and the view.
-struct Tagged<'a> {
-    auto: Option<&'a Choice>,
-    drawing: &'a Drawing,
-    is_provisional: bool,
-}
-
-/// Returns a hash of all that decides a frame's bytes, in quotes as HTTP requires. The tag of a provisional frame only distinguishes it
-/// from other frames while it is being drawn; no client receives it.
-fn entity_tag(
-    loaded: &Loaded,
-    request: &FrameRequest,
-    Tagged { auto, drawing, is_provisional }: &Tagged<'_>,
-    view: &View,
-    adapter: &Adapter,
-) -> String {
-    let mut hasher = Sha256::new();
-    hasher.update(&adapter.renderer);
-    hasher.update(&adapter.name);
-    let is_jpeg = request.format == ImageFormat::Jpeg;
-    hasher.update([
-        u8::from(adapter.atomics_64),
-        if is_jpeg { request.quality } else { 0 },
-        request.format as u8,
-        request.output as u8,
-    ]);
-    // The rest of what the scene says of splats is in its digest.
-    hasher.update(drawing.applied.bytes());
-    if *is_provisional {
-        hasher.update(b"provisional");
-    }
-    if let Some(choice) = auto {
-        // The receipt has them.
-        hasher.update(b"auto");
-        hasher.update(choice.spacing_px.unwrap_or(-1.0).to_bits().to_le_bytes());
-    }
-    hasher.update(loaded.digest);
-    hasher.update(loaded.model.revision.to_le_bytes());
-    hasher.update(loaded.model.id.as_bytes());
-    let mut number = |v: f64| hasher.update((v + 0.0).to_bits().to_le_bytes());
-    view.eye.to_array().into_iter().for_each(&mut number);
-    view.view_from_world.to_cols_array().into_iter().for_each(&mut number);
-    number(view.focus);
-    view.focal_px.to_array().into_iter().for_each(&mut number);
-    view.principal_px.to_array().into_iter().for_each(&mut number);
-    hasher.update(view.width.to_le_bytes());
-    hasher.update(view.height.to_le_bytes());
-    let digest = hasher.finalize();
-    let mut tag = String::with_capacity(34);
-    tag.push('"');
-    for byte in &digest[..16] {
-        tag.push(char::from(b"0123456789abcdef"[usize::from(byte >> 4)]));
-        tag.push(char::from(b"0123456789abcdef"[usize::from(byte & 15)]));
-    }
-    tag.push('"');
-    tag
 }

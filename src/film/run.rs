@@ -180,14 +180,20 @@ fn draw(
 }
 
 impl Film<'_> {
-    /// Decides how samples are drawn, if that is left open: a film that changed it midway would flicker. If any frame needs
-    /// splats, all frames get them. Frames of the whole path are asked, so that runs over parts of the path agree.
+    /// Decides how samples are drawn, if that is left open: a film that changed it midway would flicker. Settings for a goal are chosen for all frames
+    /// together. If any frame needs splats, all frames get them. Frames of the whole path are asked, so that runs over parts of the path agree.
     fn decided(&self) -> Result<Film<'_>, FilmError> {
         let mut request = self.request.clone();
+        let step = self.shots.count().div_ceil(ASKED).max(1) as usize;
+        let asked = || (0..self.shots.count()).step_by(step).map(|number| self.request(number));
+        if request.settings.goal().is_some() {
+            let chosen = self.engine.settings_for_all(&asked().collect::<Vec<_>>())?;
+            request.settings = chosen.unwrap_or(request.settings);
+        }
         if request.settings.leaves_drawing_open() {
-            let step = self.shots.count().div_ceil(ASKED).max(1) as usize;
-            for number in (0..self.shots.count()).step_by(step) {
-                let frame = self.engine.resolve_blocking(self.request(number))?;
+            for one in asked() {
+                let one = FrameRequest { settings: request.settings, ..one };
+                let frame = self.engine.resolve_blocking(one)?;
                 request.settings = request.settings.drawn_like(frame.settings());
                 if !request.settings.draws_points() {
                     break;

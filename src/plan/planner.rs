@@ -169,12 +169,12 @@ impl Planner {
         self.rows.is_empty()
     }
 
-    /// Chooses settings for a request with this goal. `allows` tells which of them can be drawn. `None` if none can.
+    /// Chooses settings for frames with this goal, all of which are to keep it. `allows` tells which settings can be drawn. `None` if none can.
     pub fn choose(
         &self,
         goal: &Goal,
         asked: &Settings,
-        ground: &Ground,
+        grounds: &[Ground],
         paces: &Paces,
         allows: impl Fn(&Settings) -> bool,
     ) -> Option<Chosen> {
@@ -184,7 +184,9 @@ impl Planner {
             .enumerate()
             .filter_map(|(index, row)| {
                 let settings = asked.planned(&row.given).filter(&allows)?;
-                Some((index, settings, row.model.predict(ground, paces.of(index))))
+                let pace = paces.of(index);
+                let frames = grounds.iter().map(|ground| row.model.predict(ground, pace));
+                Some((index, settings, frames.reduce(Prediction::worse)?))
             })
             .collect();
         let (best, because) = pick(goal, &found)?;

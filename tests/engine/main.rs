@@ -27,6 +27,7 @@ mod memory;
 mod paging;
 mod picks;
 mod pipelines;
+mod planner;
 mod queueing;
 mod rounds;
 mod sheets;

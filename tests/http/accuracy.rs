@@ -241,3 +241,44 @@ fn what_cannot_be_measured_is_refused_at_once() {
     assert_eq!(client.get("/v1/scenes/none/accuracy").status, 404);
     assert_eq!(client.get(PLACE).json()["state"], "not_measured", "nothing was begun");
 }
+
+#[test]
+fn a_measurement_for_the_planner_serves_goals() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    let plan = || {
+        let reply = client.get("/v1/scenes/grid/frame?camera=front&w=64&h=48&min_psnr_db=10");
+        assert_eq!(reply.status, 200, "{}", reply.text());
+        reply.receipt()["planned"].clone()
+    };
+    let unknown = plan();
+    assert_eq!((&unknown["keeps"], &unknown["chosen"]), (&Value::Null, &Value::Null), "{unknown}");
+    assert_eq!(state(&client)["planner"], Value::Null);
+    begin(&client, &json!({ "planner": true, "w": 16, "h": 12 }));
+    let done = ended(&client, "done");
+    assert_eq!(done["planner"]["poses"], 24, "{done}");
+    assert!(done["planner"]["settings"].as_u64().is_some_and(|count| count > 5), "{done}");
+    assert_eq!(done["results"], Value::Null);
+    let known = plan();
+    assert_eq!((&known["keeps"], &known["poses"]), (&json!(true), &json!(24)), "{known}");
+    assert!(known["actual_ms"].as_f64().is_some_and(|ms| ms > 0.0), "{known}");
+}
+
+#[test]
+fn a_measurement_for_the_planner_has_its_own_views() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    for (name, value) in
+        [("quick", json!(true)), ("cameras", json!(["front"])), ("repeats", json!(2))]
+    {
+        let reply = client.post_json(PLACE, &json!({ "planner": true, name: value }));
+        assert_eq!(
+            (reply.status, &reply.json()["parameter"]),
+            (400, &json!(name)),
+            "{}",
+            reply.text()
+        );
+    }
+    let reply = client.post_json(PLACE, &json!({ "planner": true, "w": 1024, "h": 1024 }));
+    assert_eq!(reply.status, 422, "{}", reply.text());
+}

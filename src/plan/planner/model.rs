@@ -65,6 +65,19 @@ pub struct Prediction {
     pub least_psnr_db: f64,
 }
 
+impl Prediction {
+    /// The longer time and the larger error of two frames.
+    #[must_use]
+    pub fn worse(self, other: Prediction) -> Prediction {
+        Prediction {
+            ms: self.ms.max(other.ms),
+            most_ms: self.most_ms.max(other.most_ms),
+            psnr_db: self.psnr_db.min(other.psnr_db),
+            least_psnr_db: self.least_psnr_db.min(other.least_psnr_db),
+        }
+    }
+}
+
 impl Model {
     /// Fits the measured frames of a setting. `None` for fewer than [`LEAST_POSES`].
     pub fn fit(effort: Effort, points: &[(Ground, Point)]) -> Option<Model> {
@@ -75,9 +88,9 @@ impl Model {
         if points.len() < LEAST_POSES {
             return None;
         }
-        let rows: Vec<([f64; PARTS], f64)> = points
+        let rows: Vec<[f64; PARTS]> = points
             .iter()
-            .map(|(ground, point)| (parts(ground, effort).map(|part| part / point.ms), 1.0))
+            .map(|(ground, point)| parts(ground, effort).map(|part| part / point.ms))
             .collect();
         let factors = nonnegative(&rows);
         let known = points
@@ -159,22 +172,16 @@ fn sum(factors: &[f64; PARTS], ground: &Ground, effort: Effort) -> f64 {
     sum.max(f64::MIN_POSITIVE)
 }
 
-/// The factors that are not negative and fit the rows best, by least squares (coordinate descent).
-fn nonnegative(rows: &[([f64; PARTS], f64)]) -> [f64; PARTS] {
+/// The factors that are not negative and bring the rows nearest to 1, by least squares (coordinate descent).
+fn nonnegative(rows: &[[f64; PARTS]]) -> [f64; PARTS] {
     let all: [usize; PARTS] = std::array::from_fn(|column| column);
     // Columns of unit length, so that none is lost to rounding.
-    let lengths =
-        all.map(|column| rows.iter().map(|(row, _)| row[column].powi(2)).sum::<f64>().sqrt());
-    let product = |column: usize, of: &dyn Fn(&([f64; PARTS], f64)) -> f64| {
-        let sum: f64 = rows.iter().map(|row| row.0[column] * of(row)).sum();
-        if lengths[column] > 0.0 { sum / lengths[column] } else { 0.0 }
-    };
-    let wanted = all.map(|column| product(column, &|(_, wanted)| *wanted));
+    let lengths = all.map(|column| rows.iter().map(|row| row[column].powi(2)).sum::<f64>().sqrt());
+    let unit =
+        |row: &[f64; PARTS], column: usize| row[column] / lengths[column].max(f64::MIN_POSITIVE);
+    let wanted = all.map(|column| rows.iter().map(|row| unit(row, column)).sum::<f64>());
     let products = all.map(|column| {
-        all.map(|other| {
-            let scale = lengths[other].max(f64::MIN_POSITIVE);
-            product(column, &|(row, _)| row[other] / scale)
-        })
+        all.map(|other| rows.iter().map(|row| unit(row, column) * unit(row, other)).sum::<f64>())
     });
     let mut factors = [0.0; PARTS];
     for _ in 0..ROUNDS {

@@ -76,7 +76,8 @@ fn asked(pairs: &[(&str, &str)]) -> Settings {
 
 fn choose(planner: &Planner, pairs: &[(&str, &str)], ground: &Ground) -> Option<Chosen> {
     let asked = asked(pairs);
-    planner.choose(&asked.goal()?, &asked, ground, &Paces::default(), |_| true)
+    planner
+        .choose(&asked.goal()?, &asked, std::slice::from_ref(ground), &Paces::default(), |_| true)
 }
 
 #[test]
@@ -162,16 +163,34 @@ fn what_is_given_stays() {
 }
 
 #[test]
+fn frames_of_a_film_all_keep_the_goal() {
+    let (planner, grounds) = planner();
+    let ms = |of: &[Ground]| {
+        let asked = asked(&[("budget_ms", "1000")]);
+        let goal = asked.goal().unwrap();
+        let chosen = planner.choose(&goal, &asked, of, &Paces::default(), |_| true).unwrap();
+        chosen.plan.chosen.unwrap()
+    };
+    let each: Vec<Alternative> = grounds.iter().map(|one| ms(std::slice::from_ref(one))).collect();
+    let all = ms(&grounds);
+    assert!(each.iter().all(|one| one.ms <= all.ms && one.psnr_db >= all.psnr_db));
+    assert!(
+        each.iter().any(|one| one.ms == all.ms)
+            && each.iter().any(|one| one.psnr_db == all.psnr_db)
+    );
+}
+
+#[test]
 fn settings_that_cannot_be_drawn_are_not_chosen() {
     let (planner, grounds) = planner();
     let asked = asked(&[("budget_ms", "1000")]);
     let goal = asked.goal().unwrap();
     let paces = Paces::default();
     let one = |settings: &Settings| settings.parts() == 1;
-    let chosen = planner.choose(&goal, &asked, &grounds[0], &paces, one).unwrap();
+    let chosen = planner.choose(&goal, &asked, &grounds[..1], &paces, one).unwrap();
     assert_eq!(chosen.plan.chosen.unwrap().setting, "splats full");
     assert_eq!(chosen.plan.compared, 3);
-    assert!(planner.choose(&goal, &asked, &grounds[0], &paces, |_| false).is_none());
+    assert!(planner.choose(&goal, &asked, &grounds[..1], &paces, |_| false).is_none());
 }
 
 #[test]
@@ -248,7 +267,7 @@ proptest! {
         for (budget_ms, min_psnr_db) in goals {
             let goal = Goal { budget_ms, min_psnr_db };
             let asked = Settings::from(Given { budget_ms, min_psnr_db, ..Given::default() });
-            let chosen = planner.choose(&goal, &asked, &ground, &Paces::default(), |_| true).unwrap();
+            let chosen = planner.choose(&goal, &asked, std::slice::from_ref(&ground), &Paces::default(), |_| true).unwrap();
             let found = planner.rows[chosen.row].model.predict(&ground, 1.0);
             prop_assert_eq!(chosen.plan.keeps, Some(goal.keeps(&found)));
             if chosen.plan.keeps == Some(false) {

@@ -36,6 +36,11 @@ impl Settings {
         Settings { pinned, ..self }
     }
 
+    /// The accepted error of point trees in pixels; `None` at full detail.
+    pub fn tree_error_px(&self) -> Option<f64> {
+        self.draws_trees().then(|| f64::from(self.max_error_px.px()))
+    }
+
     /// Names of the settings that are to be chosen: those that trade accuracy for time and are not given, or are `auto`.
     pub(super) fn open(&self) -> Vec<&'static str> {
         if self.goal().is_none() {

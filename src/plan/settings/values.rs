@@ -91,11 +91,6 @@ impl Settings {
         self.lod == Lod::Spt
     }
 
-    /// The accepted error of point trees in pixels; `None` at full detail.
-    pub fn tree_error_px(&self) -> Option<f64> {
-        self.draws_trees().then(|| f64::from(self.max_error_px.px()))
-    }
-
     /// The settings with `edl` on or off.
     #[must_use]
     pub fn with_edl_decided(&self, scene: &SceneFacts, output: Output) -> Settings {

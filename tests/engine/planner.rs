@@ -1,0 +1,198 @@
+//! Settings are chosen for goals from what was measured, and receipts say how.
+
+use std::collections::BTreeSet;
+
+use pointillist::bake::cache::BakeCache;
+use pointillist::engine::{FrameRequest, Pose, Receipt};
+use pointillist::math::{Camera, Lens};
+use pointillist::plan::planner::{Measured, MeasuredPose, MeasuredRow, Point};
+use pointillist::plan::{Given, Lod, Output, Reconstruct, Settings};
+
+use super::studio::{Studio, cloud_scene, front, wall};
+
+/// A setting's name, its values, and the decibels and milliseconds of its frames.
+type Row = (&'static str, &'static [(&'static str, &'static str)], f64, f64);
+
+const ROWS: [Row; 4] = [
+    ("points", &[("lod", "full"), ("reconstruct", "points")], 25.0, 2.0),
+    ("trees", &[("lod", "spt"), ("max_error_px", "4"), ("reconstruct", "splats")], 30.0, 1e3),
+    ("splats", &[("lod", "full"), ("reconstruct", "splats")], 35.0, 2e3),
+    ("fine", &[("lod", "full"), ("reconstruct", "splats"), ("antialias", "4x")], 45.0, 4e3),
+];
+
+fn given(pairs: &[(&str, &str)]) -> Given {
+    let mut given = Given::default();
+    pairs.iter().for_each(|(name, value)| given.set_text(name, value).unwrap());
+    given
+}
+
+/// Frames that were never drawn: each row has one error and one time, wherever it is seen from.
+fn measured() -> Measured {
+    let pose = |z: f64| MeasuredPose {
+        eye: [0.0, 0.0, z],
+        target: [0.0; 3],
+        up: [0.0, 1.0, 0.0],
+        fov_deg: Some(45.0),
+        ortho_height: None,
+        size: [96, 64],
+    };
+    let row = |&(label, pairs, db, ms): &Row| {
+        let point = Some(Point { mse: 65025.0 / 10f64.powf(0.1 * db), ms });
+        MeasuredRow { label: label.to_owned(), given: given(pairs), points: vec![point; 8] }
+    };
+    Measured {
+        poses: (0..8).map(|at| pose(2.0 + 0.25 * f64::from(at))).collect(),
+        rows: ROWS.iter().map(row).collect(),
+    }
+}
+
+fn studio() -> Studio {
+    let studio = Studio::new();
+    studio.write("wall.ply", wall(40, |x, y| [(x * 6) as u8, (y * 6) as u8, 90]));
+    studio.load_json("cloud", &cloud_scene("wall.ply"));
+    studio
+}
+
+fn asking(pairs: &[(&str, &str)]) -> FrameRequest {
+    let settings = given(pairs).resolve().unwrap().complete();
+    FrameRequest { settings, ..front("cloud", 96, 64) }
+}
+
+fn chosen(receipt: &Receipt) -> &str {
+    &receipt.planned.as_ref().unwrap().chosen.as_ref().unwrap().setting
+}
+
+#[test]
+fn goals_choose_from_what_was_measured() {
+    let studio = studio();
+    // Nothing is known: drawn as without the goal, and said.
+    let ample = asking(&[("budget_ms", "60000")]);
+    let unknown = studio.frame(&ample);
+    let plan = unknown.receipt.planned.clone().unwrap();
+    assert_eq!((plan.keeps, plan.chosen.as_ref(), plan.compared), (None, None, 0));
+    assert!(plan.because.contains("not measured"), "{}", plan.because);
+    let plain = asking(&[]);
+    assert_eq!(unknown.bytes, studio.frame(&plain).bytes);
+    assert!(studio.frame(&plain).receipt.planned.is_none());
+
+    assert_eq!(studio.engine.learn("cloud", measured()).unwrap(), 4);
+    assert_eq!(studio.engine.planner_size("cloud").unwrap(), Some([4, 8]));
+    let fine = studio.frame(&ample);
+    assert_eq!(chosen(&fine.receipt), "fine");
+    let plan = fine.receipt.planned.clone().unwrap();
+    assert_eq!((plan.keeps, plan.budget_ms, plan.poses), (Some(true), Some(60_000.0), 8));
+    assert!(plan.actual_ms.is_some_and(|ms| ms > 0.0));
+    let same = asking(&[("reconstruct", "splats"), ("antialias", "4x")]);
+    assert_eq!(fine.bytes, studio.frame(&same).bytes);
+
+    for (goal, expected, keeps) in [
+        (&[("budget_ms", "500")][..], "points", true),
+        (&[("budget_ms", "0.01")], "points", false),
+        (&[("min_psnr_db", "28")], "trees", true),
+        (&[("min_psnr_db", "33")], "splats", true),
+        (&[("min_psnr_db", "90")], "fine", false),
+        (&[("min_psnr_db", "28"), ("lod", "full")], "splats", true),
+        (&[("min_psnr_db", "28"), ("max_error_px", "2")], "splats", true),
+        (&[("min_psnr_db", "28"), ("budget_ms", "10")], "points", false),
+        (&[("budget_ms", "60000"), ("antialias", "off")], "splats", true),
+    ] {
+        let frame = studio.frame(&asking(goal));
+        let plan = frame.receipt.planned.clone().unwrap();
+        assert_eq!((chosen(&frame.receipt), plan.keeps), (expected, Some(keeps)), "{goal:?}");
+    }
+    // What is given and was never measured cannot be promised.
+    let painted = studio.frame(&asking(&[("budget_ms", "500"), ("reconstruct", "painted")]));
+    let plan = painted.receipt.planned.clone().unwrap();
+    assert_eq!((plan.keeps, painted.receipt.settings.applied.draws_samples()), (None, true));
+    assert!(plan.because.contains("goes with those that are given"), "{}", plan.because);
+}
+
+#[test]
+fn outputs_and_picks_follow_the_colours() {
+    let studio = studio();
+    studio.engine.learn("cloud", measured()).unwrap();
+    let goal = [("min_psnr_db", "33")];
+    let depth = FrameRequest { output: Output::Depth, ..asking(&goal) };
+    let plain = FrameRequest { output: Output::Depth, ..asking(&[("reconstruct", "splats")]) };
+    assert_eq!(studio.bytes(&depth), studio.bytes(&plain));
+    // Tags tell goals apart, since receipts do.
+    let tag = |request: &FrameRequest| super::studio::etag(&studio.engine, request).unwrap();
+    let tags: BTreeSet<String> =
+        [asking(&goal), asking(&[("min_psnr_db", "34")]), asking(&[("reconstruct", "splats")])]
+            .iter()
+            .map(tag)
+            .collect();
+    assert_eq!(tags.len(), 3);
+    assert_eq!(tag(&asking(&goal)), tag(&asking(&goal)));
+}
+
+#[test]
+fn measurements_outlive_the_engine_and_belong_to_the_content() {
+    let folder = tempfile::tempdir().unwrap();
+    let cache = || Some(BakeCache::new(folder.path().join("cache"), 1 << 30));
+    let open = |points: usize| {
+        let studio = Studio::with(|config| config.bake_cache = cache());
+        studio.write("wall.ply", wall(points, |x, _| [(x * 6) as u8, 0, 90]));
+        studio.load_json("cloud", &cloud_scene("wall.ply"));
+        studio
+    };
+    let first = open(20);
+    first.engine.learn("cloud", measured()).unwrap();
+    drop(first);
+    let second = open(20);
+    assert_eq!(chosen(&second.frame(&asking(&[("min_psnr_db", "33")])).receipt), "splats");
+    // Under another id as well, but not for another content.
+    second.load_json("other", &cloud_scene("wall.ply"));
+    assert_eq!(second.engine.planner_size("other").unwrap(), Some([4, 8]));
+    drop(second);
+    assert_eq!(open(21).engine.planner_size("cloud").unwrap(), None);
+    // A damaged note is none.
+    for note in std::fs::read_dir(folder.path().join("cache")).unwrap().flatten() {
+        if note.path().extension().is_some_and(|extension| extension == "note") {
+            std::fs::write(note.path(), b"damaged").unwrap();
+        }
+    }
+    assert_eq!(open(20).engine.planner_size("cloud").unwrap(), None);
+}
+
+#[test]
+fn predicted_times_follow_the_frames() {
+    let studio = studio();
+    studio.engine.learn("cloud", measured()).unwrap();
+    let predicted = || {
+        let frame = studio.frame(&asking(&[("min_psnr_db", "33")]));
+        let plan = frame.receipt.planned.clone().unwrap();
+        (plan.chosen.unwrap().ms, plan.actual_ms.unwrap())
+    };
+    let (first, _) = predicted();
+    assert!((first - 2e3).abs() < 200.0, "{first}");
+    // It was never that slow.
+    let mut last = first;
+    for _ in 0..30 {
+        let (ms, actual) = predicted();
+        assert!(ms <= last * 1.01 && actual < 2e3, "{ms} after {last}");
+        last = ms;
+    }
+    assert!(last < 0.3 * first, "{last} after {first}");
+}
+
+#[test]
+fn a_film_keeps_its_goal_with_one_setting() {
+    let studio = studio();
+    studio.engine.learn("cloud", measured()).unwrap();
+    let at = |z: f64| {
+        let camera = Camera {
+            eye: glam::DVec3::new(0.0, 0.0, z),
+            target: glam::DVec3::ZERO,
+            up: glam::DVec3::Y,
+            lens: Lens::Perspective { fov_deg: 45.0 },
+        };
+        FrameRequest { pose: Pose::Camera(camera), ..asking(&[("min_psnr_db", "28")]) }
+    };
+    let frames = [at(2.0), at(3.0), at(30.0)];
+    let settings: Settings = studio.engine.settings_for_all(&frames).unwrap().unwrap();
+    assert!(settings.goal().is_none() && settings.reconstruct == Reconstruct::Splats);
+    assert!(settings.lod == Lod::Spt || settings.lod == Lod::Full);
+    let plain = FrameRequest { settings: Settings::default(), ..at(2.0) };
+    assert_eq!(studio.engine.settings_for_all(&[plain]).unwrap(), None);
+}
