@@ -154,7 +154,7 @@ fn point(entry: &Entry) -> Option<Point> {
 fn unbeaten(looked: &Results, rows: &[Row]) -> Vec<Row> {
     let is_plain = |row: &Row| {
         let settings = Settings::from(row.given);
-        settings.parts() == 1 && settings.tree_error_px().is_none_or(|px| px == 1.0)
+        settings.parts() == 1 && settings.accepted_px_of_trees().is_none_or(|px| px == 1.0)
     };
     let is_beaten = |scope: &Scope, row: &Row| {
         let own = scope.entry(&row.label).and_then(point);

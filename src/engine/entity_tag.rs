@@ -46,7 +46,7 @@ pub fn entity_tag(
     if let Some(goal) = goal {
         // The receipt has them.
         hasher.update(b"planned");
-        for bound in [goal.budget_ms, goal.min_psnr_db] {
+        for bound in [goal.most_ms, goal.least_db] {
             hasher.update(bound.unwrap_or(-1.0).to_bits().to_le_bytes());
         }
     }

@@ -17,7 +17,7 @@ use crate::bake::cache::BakeCache;
 use crate::bake::pack::GeometryKind;
 use crate::math::View;
 use crate::plan::Output;
-use crate::plan::planner::{Goal, Ground, Measured, Paces, PlanReceipt, Planner};
+use crate::plan::planner::{Ground, Measured, Paces, PlanReceipt, Planner};
 
 /// Version of a note.
 const VERSION: u32 = 1;
@@ -62,12 +62,6 @@ pub struct PlannedFrame {
     pub receipt: PlanReceipt,
     /// Where they were chosen from, the chosen row, and its predicted time in ms at the pace of measured frames.
     from: Option<(Arc<Known>, usize, f64)>,
-}
-
-impl PlannedFrame {
-    pub fn goal(&self) -> Goal {
-        Goal { budget_ms: self.receipt.budget_ms, min_psnr_db: self.receipt.min_psnr_db }
-    }
 }
 
 impl Known {

@@ -453,7 +453,7 @@ fn decide(
         (blended.is_some() && refused.is_none()).then(|| way(&other, Some(too_many)));
     let tagged = Tagged {
         auto: auto.as_ref(),
-        goal: planned.as_ref().map(PlannedFrame::goal),
+        goal: planned.as_ref().map(|planned| planned.receipt.goal()),
         drawing: &drawing,
         is_provisional: provisional.is_some(),
     };

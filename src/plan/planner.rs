@@ -35,9 +35,9 @@ const PACES: [f64; 2] = [1.0 / 16.0, 16.0];
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Goal {
     /// Longest GPU time, in milliseconds.
-    pub budget_ms: Option<f64>,
+    pub most_ms: Option<f64>,
     /// Least peak signal-to-noise ratio against the reference, in decibels.
-    pub min_psnr_db: Option<f64>,
+    pub least_db: Option<f64>,
 }
 
 /// The measured settings of a scene, each with its model.
@@ -114,25 +114,25 @@ pub struct Alternative {
 impl Goal {
     fn keeps(&self, found: &Prediction) -> bool {
         self.keeps_budget(found)
-            && self.min_psnr_db.is_none_or(|least_db| found.least_psnr_db >= least_db)
+            && self.least_db.is_none_or(|least_db| found.least_psnr_db >= least_db)
     }
 
     fn keeps_budget(&self, found: &Prediction) -> bool {
-        self.budget_ms.is_none_or(|budget_ms| found.most_ms <= budget_ms)
+        self.most_ms.is_none_or(|most_ms| found.most_ms <= most_ms)
     }
 
     /// The goal in words.
     fn in_words(&self) -> String {
-        let budget = self.budget_ms.map(|ms| format!("{ms} ms"));
-        let least = self.min_psnr_db.map(|db| format!("{db} dB"));
+        let budget = self.most_ms.map(|ms| format!("{ms} ms"));
+        let least = self.least_db.map(|db| format!("{db} dB"));
         [budget, least].into_iter().flatten().collect::<Vec<_>>().join(" and ")
     }
 
     /// The receipt of a frame for which nothing can be chosen.
     pub fn unplanned(&self, because: String) -> PlanReceipt {
         PlanReceipt {
-            budget_ms: self.budget_ms,
-            min_psnr_db: self.min_psnr_db,
+            budget_ms: self.most_ms,
+            min_psnr_db: self.least_db,
             keeps: None,
             because,
             chosen: None,
@@ -141,6 +141,12 @@ impl Goal {
             compared: 0,
             poses: 0,
         }
+    }
+}
+
+impl PlanReceipt {
+    pub fn goal(&self) -> Goal {
+        Goal { most_ms: self.budget_ms, least_db: self.min_psnr_db }
     }
 }
 
@@ -254,15 +260,15 @@ fn pick(goal: &Goal, found: &[(usize, Settings, Prediction)]) -> Option<(usize, 
     };
     let all = || of(&|_| true);
     let asked = goal.in_words();
-    if goal.min_psnr_db.is_some()
+    if goal.least_db.is_some()
         && let Some(best) = fastest(&mut of(&|one| goal.keeps(one)))
     {
         return Some((best, format!("the fastest setting that keeps {asked}")));
     }
     if let Some(best) =
-        most_exact(&mut of(&|one| goal.keeps_budget(one)).filter(|_| goal.budget_ms.is_some()))
+        most_exact(&mut of(&|one| goal.keeps_budget(one)).filter(|_| goal.most_ms.is_some()))
     {
-        return Some(match goal.min_psnr_db {
+        return Some(match goal.least_db {
             None => (best, format!("the most exact setting that keeps {asked}")),
             Some(_) => (
                 best,
@@ -273,7 +279,7 @@ fn pick(goal: &Goal, found: &[(usize, Settings, Prediction)]) -> Option<(usize, 
         });
     }
     let none = format!("no setting is known to keep {asked}");
-    match goal.budget_ms {
+    match goal.most_ms {
         Some(_) => Some((fastest(&mut all())?, format!("{none}; this is the fastest one"))),
         None => Some((most_exact(&mut all())?, format!("{none}; this is the most exact one"))),
     }
@@ -282,7 +288,10 @@ fn pick(goal: &Goal, found: &[(usize, Settings, Prediction)]) -> Option<(usize, 
 /// What a setting means for the work of a frame.
 fn effort(given: &Given) -> Effort {
     let settings = Settings::from(*given);
-    Effort { error_px: settings.tree_error_px(), parts: f64::from(settings.parts()).powi(2) }
+    Effort {
+        error_px: settings.accepted_px_of_trees().map(f64::from),
+        parts: f64::from(settings.parts()).powi(2),
+    }
 }
 
 impl Paces {

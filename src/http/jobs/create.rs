@@ -302,7 +302,7 @@ mod tests {
             (json!({"scene": "s", "path": "p", "deadline_ms": 5}), "deadline_ms", "no deadline"),
             (json!({"scene": "s", "path": "p", "wnat": ["video"]}), "wnat", "did you mean `want`?"),
             (json!({"scene": "s", "path": "p", "width": 64}), "width", "no parameter `width`"),
-            (json!({"scene": "s", "path": "p", "budget_ms": 64}), "budget_ms", "not available"),
+            (json!({"scene": "s", "path": "p", "effects": "ao"}), "effects", "not available"),
             (json!({"scene": "s", "path": "p", "want": []}), "want", "the list is empty"),
             (json!({"scene": "s", "path": "p", "want": ["gif"]}), "want[0]", "unknown variant"),
             (

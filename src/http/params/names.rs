@@ -29,10 +29,7 @@ pub fn names() -> impl Iterator<Item = &'static str> {
 }
 
 /// Parameters of the contract that this version does not have, and what to do instead.
-const UNAVAILABLE: [(&str, &str); 2] = [
-    ("budget_ms", "leave it out, or give `deadline_ms`"),
-    ("effects", "leave it out: there are none"),
-];
+const UNAVAILABLE: [(&str, &str); 1] = [("effects", "leave it out: there are none")];
 
 /// Synonyms that clients may try, and the parameter that is meant.
 const SYNONYMS: [(&str, &str); 9] = [

@@ -149,7 +149,8 @@ fn values_are_checked() {
         ("reconstruct=splats&shading=splat&shading=splat", "shading"),
         ("format=gif", "format"),
         ("max_error_px=1", "max_error_px"),
-        ("budget_ms=1", "budget_ms"),
+        ("budget_ms=0", "budget_ms"),
+        ("min_psnr_db=1000", "min_psnr_db"),
         ("effects=ao", "effects"),
     ] {
         let params = FrameParams::from_query(Some(query));

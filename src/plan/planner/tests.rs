@@ -265,7 +265,7 @@ proptest! {
         }
         let goals = [(Some(budget), None), (None, Some(least_db)), (Some(budget), Some(least_db))];
         for (budget_ms, min_psnr_db) in goals {
-            let goal = Goal { budget_ms, min_psnr_db };
+            let goal = Goal { most_ms: budget_ms, least_db: min_psnr_db };
             let asked = Settings::from(Given { budget_ms, min_psnr_db, ..Given::default() });
             let chosen = planner.choose(&goal, &asked, std::slice::from_ref(&ground), &Paces::default(), |_| true).unwrap();
             let found = planner.rows[chosen.row].model.predict(&ground, 1.0);

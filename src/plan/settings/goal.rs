@@ -14,9 +14,8 @@ const _: () = assert!(Given::NAMES.len() <= 64);
 impl Settings {
     /// What the frame is asked to keep, where settings are to be chosen for it.
     pub fn goal(&self) -> Option<Goal> {
-        let (budget_ms, min_psnr_db) = (self.budget_ms.ms(), self.min_psnr_db.db());
-        let is_any = budget_ms.is_some() || min_psnr_db.is_some();
-        is_any.then_some(Goal { budget_ms, min_psnr_db })
+        let goal = Goal { most_ms: self.budget_ms.ms(), least_db: self.min_psnr_db.db() };
+        (goal.most_ms.is_some() || goal.least_db.is_some()).then_some(goal)
     }
 
     /// The settings without a goal.
@@ -34,11 +33,6 @@ impl Settings {
         let bits = bits.filter(|(_, (is_given, setting))| **is_given && setting.trades.is_some());
         let pinned = Pinned(bits.fold(0, |bits, (index, _)| bits | 1 << index));
         Settings { pinned, ..self }
-    }
-
-    /// The accepted error of point trees in pixels; `None` at full detail.
-    pub fn tree_error_px(&self) -> Option<f64> {
-        self.draws_trees().then(|| f64::from(self.max_error_px.px()))
     }
 
     /// Names of the settings that are to be chosen: those that trade accuracy for time and are not given, or are `auto`.
