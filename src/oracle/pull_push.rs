@@ -5,7 +5,7 @@
 //!    [`Patch`]: the ellipse that its disk is in the image, its plane, colour and normal.
 //! 2. *Pull.* A pixel of the next level combines the patches of its four pixels that cover its centre and belong to the nearest surface there.
 //! 3. *Push.* From the coarsest level down, each pixel combines its patch with those of the four nearest pixels of the coarser level that cover
-//!    its centre. Level 0 gives the image.
+//!    its centre. Level 0 gives the image. A pixel that stays open beside patches takes the disk of a sample near by that covers it.
 
 use glam::{DMat2, DVec2, DVec3};
 use rayon::prelude::*;
@@ -38,6 +38,9 @@ const OPPOSITE: f64 = -0.3;
 const FALL: f64 = 2.5;
 /// Weight of a pixel's own sample at level 0.
 const OWN: f64 = 0.25;
+/// How far from a corner of level 1 an open pixel finds samples, in pixels, and by how many pixels their disks are widened.
+const ABOUT: isize = 8;
+const ABOUT_WIDEN_PX: f64 = 0.1;
 /// Radii of a disk that its plane is followed for.
 const FOLLOWED: f64 = 1.5;
 /// Share of the camera plane's distance that disks reach at most.
@@ -396,7 +399,8 @@ impl Steps<'_> {
         }
         let covering: [Option<Seen>; 4] = std::array::from_fn(|i| four[i].filter(|_| covers[i]));
         let (front, side) = front(&covering, |_| true);
-        Around { covering, bilinear, front, side }
+        let is_near = four.iter().any(Option::is_some);
+        Around { covering, bilinear, front, side, is_near }
     }
 
     /// The patches at a place that belong to its nearest surface, with their weights, and the side that they show.
@@ -430,7 +434,10 @@ impl Steps<'_> {
             let own = image.patches[pixel].map(|patch| self.see(patch, place, WIDEN_PX));
             let is_elsewhere = own.is_some_and(|own| own.distance > 1.0);
             let own = own.filter(|_| !is_elsewhere);
-            let found = self.around(coarser, (x, y), place, WIDEN_PX, own.is_none(), true);
+            let mut found = self.around(coarser, (x, y), place, WIDEN_PX, own.is_none(), true);
+            if own.is_none() && found.front == 0.0 && found.is_near {
+                found = self.about(image, (x, y), place).unwrap_or(found);
+            }
             // The sample's own depth, not that of its plane.
             let own = own.map(|own| Seen { inverse: 1.0 / own.patch.source.depth, ..own });
             let own_seen = own.filter(|own| is_seen(own.inverse, own.patch.facing, &found));
@@ -458,6 +465,28 @@ impl Steps<'_> {
         (0..image.patches.len()).into_par_iter().map(pixel).collect()
     }
 
+    /// The disk of a sample near by that covers a pixel: of the nearest surface, the one whose middle the pixel is closest to.
+    fn about(&self, image: &Level, (x, y): (usize, usize), place: DVec2) -> Option<Around> {
+        // The corner of level 1 that the pixel touches.
+        let (right, down) = (2 * x.div_ceil(2) as isize, 2 * y.div_ceil(2) as isize);
+        let pixels = (-ABOUT..ABOUT).flat_map(|y| (-ABOUT..ABOUT).map(move |x| (x, y)));
+        let disks = pixels.filter_map(|(x, y)| image.at(right + x, down + y));
+        let covering = disks
+            .map(|disk| self.see(disk, place, ABOUT_WIDEN_PX))
+            .filter(|disk| disk.distance <= 1.0);
+        let cover = covering.reduce(|best, disk| {
+            let is_same = disk.inverse >= best.behind && disk.distance < best.distance;
+            if disk.behind > best.inverse || is_same { disk } else { best }
+        })?;
+        Some(Around {
+            covering: [Some(cover), None, None, None],
+            bilinear: [1.0; 4],
+            front: cover.behind,
+            side: cover.patch.facing,
+            is_near: true,
+        })
+    }
+
     fn lit(&self, patch: &Patch, position_view: DVec3, depth: f64) -> Blended {
         let world_from_view = self.view.view_from_world.transpose();
         let mut surface = Surface {
@@ -483,6 +512,8 @@ struct Around {
     /// 1/z behind the nearest one, 0 if there is none, and the side that it shows.
     front: f64,
     side: i8,
+    /// Whether there are patches, even if none covers the place.
+    is_near: bool,
 }
 
 fn front(four: &[Option<Seen>; 4], covers: impl Fn(&Seen) -> bool) -> (f64, i8) {
