@@ -410,6 +410,13 @@ impl Survey<'_> {
             if self.file(pose, REFERENCE, "").is_some_and(|file| !file.exists()) {
                 truth = Some(self.kept_truth(pose, key)?);
             }
+            if self.purpose == Purpose::Planner {
+                truth = match self.kept_truth(pose, key) {
+                    // At another size, something was seen.
+                    Err(SurveyError::Blank(_)) => continue,
+                    truth => Some(truth?),
+                };
+            }
             let (drawn, owners) = self.owners(pose);
             for (row_number, row) in self.rows.iter().enumerate() {
                 self.check_stop()?;

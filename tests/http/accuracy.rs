@@ -274,7 +274,7 @@ fn a_measurement_for_the_planner_has_its_own_views() {
         let reply = client.post_json(PLACE, &json!({ "planner": true, name: value }));
         assert_eq!(
             (reply.status, &reply.json()["parameter"]),
-            (400, &json!(name)),
+            (422, &json!(name)),
             "{}",
             reply.text()
         );
