@@ -131,7 +131,7 @@ fn resolve(column: Column) {
         let albedo = recoloured(surface, column.at);
         if !RIBBONS || any(direction != vec3<f32>(0.0)) {
             surface.color = line_lights(albedo, material, direction, place_of(surface, column.at));
-            finish_lit(column.pixel, surface);
+            finish_lit(column.pixel, column.at, surface);
             return;
         }
     }

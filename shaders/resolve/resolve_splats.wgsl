@@ -14,6 +14,8 @@
 override DEFERRED: bool = true;
 // Surfaces without a preferred direction are lit as balls.
 override BALLS: bool = false;
+// Splats were lit one by one before they were blended, in a frame whose other pixels are lit: their normals light nothing any more.
+override LIT_SINGLY: bool = false;
 
 // Largest squared length that rounding leaves of unknown normals.
 const LEAST_NORMAL: f32 = 1e-4;
@@ -59,6 +61,10 @@ fn resolve(column: Column) {
             let sums = vec3<u32>(third.xy, fourth.x);
             surface.normal = blended_normal(sums, inverse_weight, at);
             surface.is_ball = BALLS && is_ball(sums, inverse_weight);
+            if LIT_SINGLY {
+                surface.normal = vec3<f32>(0.0);
+                surface.is_ball = false;
+            }
             surface.depth_scale = clamp(f32(fourth.y) * inverse_weight, 1e-6, 1.0);
         }
     }

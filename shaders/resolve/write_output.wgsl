@@ -12,6 +12,7 @@
 //!include shared/light
 //!include shared/edl
 //!include shared/recolor
+//!include shared/fog
 // Eye-dome lighting is on.
 override EDL: bool = true;
 // At least one instance overrides its asset's materials.
@@ -69,6 +70,7 @@ fn write_output(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocati
                 // Outlines show on surfaces that are too bright for the image as well.
                 surface.color = min(surface.color, vec3<f32>(1.0)) * eye_dome(column.at, surface.inverse_depth);
             }
+            surface.color = fogged_at(surface.color, column.at, 1.0 / surface.inverse_depth);
             pixels[column.pixel] = output_word(surface);
         }
         column_step(&column);

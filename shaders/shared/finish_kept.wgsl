@@ -16,6 +16,6 @@ fn finish(pixel: u32, at: vec2<u32>, surface: Surface) {
 }
 
 // For a surface whose colour is the one under all lights.
-fn finish_lit(pixel: u32, surface: Surface) {
+fn finish_lit(pixel: u32, at: vec2<u32>, surface: Surface) {
     keep(pixel, surface, LIT_ALREADY);
 }

@@ -103,6 +103,10 @@ struct Frame {
     line_radius: f32,
     // Painted splats that there is room for.
     paint_capacity: u32,
+    // Fog: its linear colour, and its density for each unit; the height above its base of a place in camera space, in scale heights, as a product
+    // with the first three numbers plus the last.
+    fog: vec4<f32>,
+    fog_up: vec4<f32>,
     clips: array<ClipBox, 8>,
     // Shadow maps of the suns that cast shadows.
     sun_maps: array<SunMap, 4>,

@@ -2,6 +2,7 @@
 //!include shared/output
 //!include shared/albedo
 //!include FIELDS
+//!include shared/fog
 override OVERRIDES: bool = true;
 // Pixels are lit, or write_output runs, after the splats are blended: normals are blended too.
 override DEFERRED: bool = true;
@@ -61,6 +62,9 @@ fn paint_of(slot: SplatSlot, shared_paint: PaintSlot, sample: u32) -> Paint {
             own = albedo(painted(at, packed.x), shared_paint.material);
         }
         paint.color = lit(own, normal, is_ball(packed), shared_paint.material, slot, sample);
+        if FOG != 0u {
+            paint.color = fogged(paint.color, camera_place(splat_centre(slot, sample)));
+        }
     }
     return paint;
 }

@@ -133,6 +133,7 @@ impl Reference {
             recolor: None,
             clip: None,
             edl: None,
+            fog: self.description.fog,
         }
     }
 

@@ -68,7 +68,14 @@ fn nothing_visible(drawn: &Drawn) -> Option<String> {
     let resolved = &drawn.job.frame;
     let background = drawn.job.drawing().background(&resolved.model);
     let background = srgb8(background).to_le_bytes();
-    let is_blank = drawn.stats.pixels_of_samples == 0 && drawn.image.is_blank(background);
+    let GpuStats { pixels_of_samples, pixels_of_triangles, pixels_of_segments, .. } = drawn.stats;
+    let covered = u64::from(pixels_of_samples)
+        + u64::from(pixels_of_triangles)
+        + u64::from(pixels_of_segments);
+    // Behind dense fog, an image of one colour may show the scene; behind layers of fog, the background has many colours.
+    let is_even =
+        drawn.job.drawing().plan.runs(Pass::FogBackground) || drawn.image.is_blank(background);
+    let is_blank = covered == 0 && is_even;
     let is_clipped = drawn.job.drawing().clip.is_some();
     is_blank.then(|| framing::why_nothing(&resolved.extent.bounds, &resolved.view, is_clipped))
 }

@@ -62,6 +62,8 @@ pub struct SceneInfo {
     pub lights: usize,
     /// Suns that cast shadows.
     pub casting_lights: usize,
+    /// Whether the scene has fog.
+    pub fog: bool,
     /// Which way is up: what a pose without `up` uses.
     pub up: [f64; 3],
     /// Why that way is up: a guess names its evidence.

@@ -24,7 +24,7 @@ use crate::plan::{
 use crate::residency::model::{Extent, SceneModel};
 use crate::scene::clipping::ClipRegion;
 use crate::scene::recolor::Recolor;
-use crate::scene::{Light, Splats};
+use crate::scene::{Fog, Light, Splats};
 
 /// A checked request, with everything that was decided for it.
 #[derive(Clone)]
@@ -125,8 +125,8 @@ impl Drawing {
         // Without samples it has no effect how they are drawn, but the other frames of a film draw them likewise.
         let settings = Settings::from(applied).drawn_like(&settled);
         let (edl, is_averaged) = (settings.eye_dome(), settings.parts() > 1);
-        let shadows = settings.shadows;
-        let frame = FrameFacts { output, reconstruction, edl, shadows, is_averaged };
+        let (shadows, fog) = (settings.shadows, settings.fog);
+        let frame = FrameFacts { output, reconstruction, edl, shadows, fog, is_averaged };
         Drawing {
             applied,
             settings,
@@ -164,9 +164,19 @@ impl Drawing {
         Drawing { shadows: Some(ShadowFrames { views, plan, reconstruction }), ..self }
     }
 
-    /// Linear RGB and straight alpha of pixels that show nothing.
+    /// The fog that surfaces are seen through.
+    pub fn fog(&self, model: &SceneModel) -> Option<Fog> {
+        model.fog.filter(|_| self.plan.has_fog)
+    }
+
+    /// Linear RGB and straight alpha of pixels that show nothing. Fog that is as dense everywhere hides what is infinitely far away; the background keeps its
+    /// alpha.
     pub fn background(&self, model: &SceneModel) -> [f32; 4] {
-        self.settings.background.map_or(model.background, Background::linear)
+        let own = self.settings.background.map_or(model.background, Background::linear);
+        match self.fog(model) {
+            Some(Fog { color: [r, g, b], layer: None, .. }) if own[3] > 0.0 => [r, g, b, own[3]],
+            _ => own,
+        }
     }
 }
 

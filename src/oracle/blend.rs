@@ -19,6 +19,7 @@ use crate::assets::{Geometry, PointCloud};
 use crate::math::View;
 use crate::scene::{Blend, Shading};
 
+use super::fog;
 use super::prepare::{Prepared, PreparedItem};
 use super::shade::shade;
 use super::splats::{SeenSplat, Settings, Touch};
@@ -128,6 +129,14 @@ fn item_splats(
                 shade(&surface, prepared, view.eye).map(|channel| channel.clamp(0.0, 1.0))
             }
             _ => surface.albedo,
+        };
+        // Painted splats are seen through fog one by one.
+        let color = match (&prepared.scene.fog, prepared.scene.painted) {
+            (Some(fog), Some(_)) => {
+                let place = view.view_from_world * surface.position_from_eye;
+                fog::seen_through(fog, view, color, place)
+            }
+            _ => color,
         };
         let instance = item.item.instance;
         let facing = facing(item, cloud, index, view);

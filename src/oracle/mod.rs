@@ -15,7 +15,8 @@
 //! 3. `surface`: colour (`texture` included), normal and material where the ray meets the winner.
 //! 4. `shade`: Phong, or the colour as it is. `shadow` finds out what share of a sun a place sees, where suns cast shadows.
 //! 5. `edl`: eye-dome lighting, where it is asked for.
-//! 6. `composite`: translucent triangles over all that, in the order of their depths. Depths, normals and ids are those of the nearest
+//! 6. `fog`: what fog leaves of all that, and of the background, where the scene has some.
+//! 7. `composite`: translucent triangles over all that, in the order of their depths. Depths, normals and ids are those of the nearest
 //!    surface, translucent or not.
 //!
 //! Work is split by rows of the image; the order of primitives does not matter to the result, so that it
@@ -24,6 +25,7 @@
 mod blend;
 pub mod color;
 mod edl;
+mod fog;
 mod footprint;
 mod lines;
 mod paint;
@@ -56,11 +58,11 @@ use crate::assets::{Geometry, Material, Texture};
 use crate::math::View;
 use crate::scene::clipping::ClipRegion;
 use crate::scene::recolor::Recolor;
-use crate::scene::{Discs, EyeDome, Light, MaterialSpec, Painting, PullPush, Splats};
+use crate::scene::{Discs, EyeDome, Fog, Light, MaterialSpec, Painting, PullPush, Splats};
 
 use blend::Blended;
 use prepare::Prepared;
-use visibility::Hit;
+use visibility::{Hit, pixel_ray};
 
 /// Geometry and lights of a frame.
 #[derive(Clone, Debug, Default)]
@@ -89,6 +91,8 @@ pub struct OracleScene<'a> {
     pub clip: Option<ClipRegion>,
     /// Eye-dome lighting, computed from the depths at the pixels' centres.
     pub edl: Option<EyeDome>,
+    /// Fog that everything is seen through.
+    pub fog: Option<Fog>,
 }
 
 /// One geometry at one place.
@@ -229,13 +233,18 @@ fn colors(prepared: &Prepared<'_>, view: &View, fineness: u32, centres: &[Shown]
     let background = prepared.scene.background.map(f64::from);
     let color = |(i, shown): (usize, &Shown)| {
         let (x, y) = (i % fine_width, i / fine_width);
-        let [r, g, b, alpha] = match shown {
-            Shown::Nothing => background,
-            Shown::Hit(hit) => opaque(shaded(prepared, &fine_view, hit, x, y).0),
-            Shown::Splats(blended) => opaque(blended.color),
+        let color = match shown {
+            Shown::Nothing => {
+                let ray = pixel_ray(&fine_view, x, y);
+                let through = |fog: &Fog| fog::background(fog, &fine_view, background, ray);
+                return prepared.scene.fog.as_ref().map_or(background, through);
+            }
+            Shown::Hit(hit) => shaded(prepared, &fine_view, hit, x, y).0,
+            Shown::Splats(blended) => blended.color,
         };
         let factor = factors.get(y / n * width + x / n).copied().unwrap_or(1.0);
-        [r * factor, g * factor, b * factor, alpha]
+        let color = color.map(|channel| channel * factor);
+        opaque(foggy(prepared, &fine_view, color, shown.depth(), (x, y)))
     };
     let mut fine: Vec<[f64; 4]> = shown.par_iter().enumerate().map(color).collect();
     if let (Some(each), Some(splats)) = (prepared.scene.painted, &prepared.scene.splats) {
@@ -256,6 +265,18 @@ fn colors(prepared: &Prepared<'_>, view: &View, fineness: u32, centres: &[Shown]
 
 fn opaque([r, g, b]: [f64; 3]) -> [f64; 4] {
     [r, g, b, 1.0]
+}
+
+/// A pixel's colour as it is seen through fog from a depth.
+fn foggy(
+    prepared: &Prepared<'_>,
+    view: &View,
+    color: [f64; 3],
+    depth: f64,
+    (x, y): (usize, usize),
+) -> [f64; 3] {
+    let Some(fog) = &prepared.scene.fog else { return color };
+    fog::seen_through(fog, view, color, view.at_depth(pixel_ray(view, x, y), depth))
 }
 
 /// The colour of a hit under all lights, and its alpha.
@@ -297,6 +318,7 @@ fn composite(
     }
     for layer in layers.into_iter().rev() {
         let (over, alpha) = shaded(prepared, view, layer, x, y);
+        let over = foggy(prepared, view, over, layer.depth, (x, y));
         let alpha = alpha.clamp(0.0, 1.0);
         let below = color[3] * (1.0 - alpha);
         let sum = alpha + below;

@@ -57,6 +57,7 @@ pub fn scene<'a>(items: Vec<OracleItem<'a>>) -> OracleScene<'a> {
         recolor: None,
         clip: None,
         edl: None,
+        fog: None,
     }
 }
 

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::{DMat3, DVec3, Vec3};
 
+use super::fog;
 use super::shadow::{Shadows, sun_maps};
 use super::slabs::Slabs;
 use crate::math::View;
@@ -15,7 +16,7 @@ use crate::residency::{GROUP, ResidentScene};
 use crate::scene::clipping::{ClipRegion, MOST_BOXES, Side};
 use crate::scene::fields::SceneField;
 use crate::scene::recolor::{MOST_COLORS, Recolor, share};
-use crate::scene::{EyeDome, Shading};
+use crate::scene::{EyeDome, Fog, Shading};
 
 /// Frames of one scene that are drawn together: the model (resident already), where it is seen from, what is wanted.
 #[derive(Clone)]
@@ -59,6 +60,8 @@ pub struct FrameTask {
     pub least_line_px: f32,
     /// Linear RGB and straight alpha of pixels that show nothing.
     pub background: [f32; 4],
+    /// Fog that surfaces and the background are seen through.
+    pub fog: Option<Fog>,
     /// Maximum number of pixels whose translucent fragments are kept at once.
     pub window_pixels: u32,
     /// Maximum number of entries that a frame of point trees may list.
@@ -111,13 +114,17 @@ impl FrameTask {
         (width / self.parts, height / self.parts)
     }
 
-    /// Returns whether splats' normals and depths are blended too: pixels are lit or coloured by them afterwards, or an effect needs depths.
+    /// Returns whether splats' normals and depths are blended too: pixels are lit or coloured by them afterwards, or an effect or fog needs depths.
     pub fn is_deferred(&self) -> bool {
         let colors_by_surface =
             matches!(self.recolor, Some(Recolor::Normal | Recolor::Height { .. }));
         let is_lit = self.reconstruction.shades(Shading::Deferred) && self.plan.lights_pixels;
         let is_color = self.output == Output::Color;
-        is_lit || (is_color && colors_by_surface) || self.plan.runs(Pass::WriteOutput)
+        let is_seen_through_fog = self.fog.is_some() && self.reconstruction.weighted().is_some();
+        is_lit
+            || is_seen_through_fog
+            || (is_color && colors_by_surface)
+            || self.plan.runs(Pass::WriteOutput)
     }
 
     /// Whether translucent surfaces are laid over the image, in the order of their depths.
@@ -276,6 +283,8 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
             / (view.focal_px.x * view.focal_px.y).sqrt() as f32,
         paint_capacity: task.paint_capacity,
         unused: [0; 3],
+        fog: task.fog.map_or([0.0; 4], |fog| fog::light(&fog)),
+        fog_up: task.fog.map_or([0.0; 4], |fog| fog::heights(&fog, view)),
         clips: task.clip.map_or_else(Default::default, |clip| clip_records(&clip, view)),
         sun_maps: sun_maps(task, view, focus),
     }

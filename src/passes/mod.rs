@@ -10,6 +10,7 @@
 //! Without 64-bit atomics, two passes over 32-bit words decide first the depth, then the id.
 
 mod bindings;
+mod fog;
 mod frame;
 mod levels;
 mod lines;

@@ -105,6 +105,7 @@ fragments![
     "shared/surface",
     "shared/light",
     "shared/edl",
+    "shared/fog",
     "shared/finish_written",
     "shared/finish_kept",
     "shared/large",

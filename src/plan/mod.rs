@@ -15,10 +15,10 @@ use serde::Serialize;
 
 pub use reconstruction::Reconstruction;
 pub use settings::{
-    Antialias, Background, Choice, ColorBound, ColorBy, Edl, EdlRadius, EdlStrength, ErrorMode,
-    Extent, Given, LineWidth, Lod, MaxError, Output, PointSize, PointSizePx, Reconstruct, Rule,
-    Setting, SettingError, SettingKind, Settings, ShadowPx, Shadows, StillFrame, Trade, TradeOff,
-    UsedSettings, UsedSplats, Wait, declared, trade_offs,
+    Antialias, Background, Choice, ColorBound, ColorBy, Edl, EdlRadius, EdlStrength, Effect,
+    ErrorMode, Extent, Given, LineWidth, Lod, MaxError, Output, PointSize, PointSizePx,
+    Reconstruct, Rule, Setting, SettingError, SettingKind, Settings, ShadowPx, Shadows, StillFrame,
+    Trade, TradeOff, UsedSettings, UsedSplats, Wait, declared, trade_offs,
 };
 
 pub(crate) use table::pass_table;
@@ -37,6 +37,10 @@ pub struct SceneFacts {
     pub lights: u32,
     /// Suns that cast shadows.
     pub casting_lights: u32,
+    /// It has fog.
+    pub fog: bool,
+    /// That fog becomes thinner with height.
+    pub layered_fog: bool,
     /// Its lines would cover little of an image that shows the whole scene.
     pub sparse_lines: bool,
     /// Its assets are point trees, from which a frame takes the detail that it shows.
@@ -145,6 +149,8 @@ pub struct FrameFacts {
     pub edl: Option<EyeDome>,
     /// Shadows are wanted where a light casts them.
     pub shadows: Shadows,
+    /// Fog is wanted where the scene has some.
+    pub fog: Effect,
     /// Pixels are means of their parts.
     pub is_averaged: bool,
 }
@@ -163,6 +169,8 @@ pub struct FramePlan {
     pub passes: Vec<PlannedPass>,
     /// Light is computed for each pixel, from its normal.
     pub lights_pixels: bool,
+    /// Surfaces are seen through fog.
+    pub has_fog: bool,
 }
 
 /// Consecutive passes of one stage, recorded once, for each segment of a kind, or for each digit of a sort.
@@ -252,6 +260,12 @@ impl Facts<'_> {
         blends && self.scene.translucent && frame.output == Output::Color
     }
 
+    /// Whether surfaces are seen through fog.
+    fn has_fog(&self) -> bool {
+        let frame = self.frame;
+        self.scene.fog && frame.fog == Effect::On && frame.output == Output::Color
+    }
+
     /// Whether light is computed for each pixel. Splats that are lit one by one need none after they are blended.
     fn lights_pixels(&self) -> bool {
         let reconstruction = &self.frame.reconstruction;
@@ -271,6 +285,7 @@ pub fn plan(scene: &SceneFacts, frame: &FrameFacts, adapter: &AdapterFacts) -> F
     FramePlan {
         passes: Pass::ALL.iter().map(planned).collect(),
         lights_pixels: facts.lights_pixels(),
+        has_fog: facts.has_fog(),
     }
 }
 

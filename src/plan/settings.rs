@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 mod declaration;
+mod effects;
 mod finer;
 mod goal;
 mod numbers;
@@ -28,6 +29,7 @@ mod values;
 pub use crate::scene::name::Name;
 use declaration::Accepted;
 pub use declaration::{Choice, Rule, Setting, SettingError, SettingKind};
+pub use effects::Effect;
 pub use goal::Pinned;
 pub use numbers::{
     Budget, ColorBound, EdlRadius, EdlStrength, LineWidth, MaxError, MinPsnr, PointSize,
@@ -88,6 +90,7 @@ const SAMPLES: Rule = Rule::new("samples", &["some"], "");
 const SEGMENTS: Rule = Rule::new("segments", &["some"], "");
 const SHADOWS: Rule = Rule::new("shadows", &["on"], "shadows are off");
 const CASTING: Rule = Rule::new("casting_lights", &["some"], "");
+const FOGGY: Rule = Rule::new("scene_fog", &["some"], "");
 const EDL: Rule = Rule::new("edl", &["on", "auto"], "eye-dome lighting is off");
 const SURELY_SPLATS: Rule = Rule::new("reconstruct", &["splats", "fuzzy", "painted"], "");
 const THREE_PASSES: Rule = Rule::new("reconstruct", &["splats"], "");
@@ -287,6 +290,10 @@ settings! {
     /// frame may have. Smaller pixels of a map give sharper edges.
     shadow_px: ShadowPx => ShadowPx {
         label: "Shadow map", kind: SettingKind::own::<ShadowPx>(), needs: [SHADOWS], useful_with: [COLORS, CASTING], trades: Trade::variant()
+    }
+    /// Whether the scene's fog is drawn.
+    fog: Effect => Effect {
+        label: "Fog", kind: SettingKind::own::<Effect>(), needs: [], useful_with: [COLORS, FOGGY], trades: Trade::variant()
     }
     /// Weights of the samples around a gap that pull-push fills.
     pull_push_weights: PullPushWeights => PullPushWeights {
@@ -522,6 +529,7 @@ impl Settings {
         known.insert("segments".to_owned(), some(scene.counts.segments).into());
         known.insert("lights".to_owned(), some(scene.lights.into()).into());
         known.insert("casting_lights".to_owned(), some(scene.casting_lights.into()).into());
+        known.insert("scene_fog".to_owned(), some(scene.fog.into()).into());
         known.insert("output".to_owned(), serde_json::json!(output));
         let is_open = |rule: &Rule| known.get(rule.of).is_none_or(Value::is_null);
         kept(&known, &self.open(), |setting| {

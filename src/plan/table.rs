@@ -24,6 +24,7 @@ macro_rules! pass_table {
         $reader! {
             ShadowMap            Fill    shadow/shadow_map             ""    [Shadows]           Frame     [NOT_COLOR NO_CASTER WITHOUT_SHADOWS];
             Clear                Fill    select/clear                  ""    [Select]            Frame     [];
+            FogBackground        Compute select/fog_background         ""    [Select]            Frame     [NOT_COLOR NO_FOG WITHOUT_FOG EVEN_FOG];
             CullGroups           Compute select/cull_groups            ""    [Select]            Frame     [FULL_DETAIL];
             ListGroups           Compute select/list_groups            ""    [Select]            Frame     [FULL_DETAIL];
             Place                Compute select/place                  ""    [Select]            Frame     [];
@@ -234,6 +235,9 @@ reasons! {
     NOT_COLOR: "the output is not color", |f| f.frame.output != super::Output::Color;
     NO_CASTER: "no light casts shadows", |f| f.scene.casting_lights == 0;
     WITHOUT_SHADOWS: "shadows are off", |f| f.frame.shadows == super::Shadows::Off;
+    NO_FOG: "the scene has no fog", |f| !f.scene.fog;
+    WITHOUT_FOG: "fog is off", |f| f.frame.fog == super::Effect::Off;
+    EVEN_FOG: "the fog is as dense at every height", |f| !f.scene.layered_fog;
     NOT_AVERAGED: "pixels have one part", |f| !f.frame.is_averaged;
     OPAQUE_SCENE: "the scene has no translucent triangles", |f| !f.scene.translucent;
     IDS: "the output is id", |f| f.frame.output == super::Output::Id;

@@ -334,3 +334,25 @@ fn shadow_maps_are_drawn_for_lit_colours_under_casting_suns_alone() {
     let plain = SceneFacts { casting_lights: 0, ..sunny };
     assert_eq!(why(&plain, Output::Color, Shadows::On), Some("no light casts shadows"));
 }
+
+#[test]
+fn fog_of_layers_has_a_background_of_its_own() {
+    let even = SceneFacts { counts: TRIANGLES, fog: true, ..Default::default() };
+    let layered = SceneFacts { layered_fog: true, ..even };
+    let plan_of = |scene: &SceneFacts, output, fog| {
+        super::plan(scene, &FrameFacts { output, fog, ..FrameFacts::default() }, &WIDE)
+    };
+    let why = |scene: &SceneFacts, output, fog| {
+        let plan = plan_of(scene, output, fog);
+        plan.passes.iter().find(|planned| planned.pass == Pass::FogBackground).unwrap().skipped
+    };
+    assert_eq!(why(&layered, Output::Color, Effect::On), None);
+    assert_eq!(why(&even, Output::Color, Effect::On), Some("the fog is as dense at every height"));
+    assert_eq!(why(&layered, Output::Color, Effect::Off), Some("fog is off"));
+    assert_eq!(why(&layered, Output::Normal, Effect::On), Some("the output is not color"));
+    assert!(plan_of(&even, Output::Color, Effect::On).has_fog);
+    assert!(!plan_of(&even, Output::Color, Effect::Off).has_fog);
+    assert!(!plan_of(&even, Output::Depth, Effect::On).has_fog);
+    let clear = SceneFacts { fog: false, ..even };
+    assert!(!plan_of(&clear, Output::Color, Effect::On).has_fog);
+}

@@ -310,6 +310,8 @@ pub struct GpuFrame {
     pub line_radius: f32,
     pub paint_capacity: u32,
     pub unused: [u32; 3],
+    pub fog: [f32; 4],
+    pub fog_up: [f32; 4],
     pub clips: [GpuClipBox; MOST_BOXES],
     pub sun_maps: [GpuSunMap; MOST_CASTING_LIGHTS],
 }

@@ -1,5 +1,7 @@
 //! Effects that the renderer and the oracle draw alike.
 
+use glam::DVec3;
+
 /// Samples as discs that face the image plane, each at its own depth. Of the two diameters the larger one in the image counts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Discs {
@@ -14,4 +16,26 @@ pub struct EyeDome {
     pub strength: f32,
     /// Distance of the neighbours, in pixels.
     pub radius_px: f32,
+}
+
+/// Fog: light of a surface is absorbed exponentially with the length of its way through the fog (Beer–Lambert), and the fog's own light takes its place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fog {
+    /// Linear RGB of what is infinitely far within it.
+    pub color: [f32; 3],
+    /// Extinction for each scene unit, above 0; at [`FogLayer::base`], where there is a layer.
+    pub density: f64,
+    /// How it becomes thinner with height; `None` for fog that is as dense everywhere.
+    pub layer: Option<FogLayer>,
+}
+
+/// Fog that becomes thinner with height: the density falls by a factor of e with every `scale`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FogLayer {
+    /// The scene's up direction, of unit length.
+    pub up: DVec3,
+    /// Height along `up` at which the fog has its density.
+    pub base: f64,
+    /// Scale height, in scene units.
+    pub scale: f64,
 }

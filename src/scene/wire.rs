@@ -66,6 +66,9 @@ pub(super) struct SceneFile {
     /// Colour of pixels that nothing covers, `#202428` when absent.
     #[serde(default)]
     pub background: Option<ColorWire>,
+    /// Fog that surfaces are seen through, and an opaque background with them.
+    #[serde(default)]
+    pub fog: Option<Object<FogWire>>,
     /// Poses by name.
     #[serde(default)]
     #[schemars(with = "BTreeMap<String, CameraWire>")]
@@ -312,6 +315,21 @@ pub(super) struct LightWire {
     /// are the shadows' edges; with 0 they are hard.
     #[serde(default)]
     pub angle: Option<f64>,
+}
+
+#[derive(Debug, serde::Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FogWire {
+    /// Colour of what is far within the fog. It is shown as it is; lights do not change it.
+    pub color: ColorWire,
+    /// Extinction for each scene unit, 0 to 1e9: at a distance of 1 / density, 37 % of a surface's light are left; at 3 / density, 5 %.
+    pub density: f64,
+    /// Height over which the density falls by a factor of e, in scene units along the scene's up. When absent, the fog is as dense everywhere.
+    #[serde(default)]
+    pub scale_height: Option<f64>,
+    /// Height at which fog with a `scale_height` has its density, 0 when absent.
+    #[serde(default)]
+    pub base_height: Option<f64>,
 }
 
 #[derive(Debug, serde::Deserialize, JsonSchema)]

@@ -81,6 +81,7 @@ fn load(studio: &Studio) {
                 { "kind": "ambient", "intensity": 0.3 },
                 { "kind": "sun", "direction": [0.2, -1, 0.3], "shadows": true },
             ],
+            "fog": { "color": "#a0b0c0", "density": 0.05, "scale_height": 2 },
         }),
     );
     // Kernels that reach far beyond their centres, under a wide filter, in stretched and mirrored instances.

@@ -16,6 +16,7 @@ mod counts;
 mod effects;
 mod fields;
 mod files;
+mod fog;
 mod fuzzy;
 mod golden;
 mod instances;

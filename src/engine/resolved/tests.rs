@@ -10,8 +10,14 @@ fn drawing(settings: &Settings) -> Drawing {
 }
 
 fn drawing_of(counts: Counts, settings: &Settings) -> Drawing {
-    let scene =
-        SceneFacts { counts, lights: 1, casting_lights: 1, trees: true, ..Default::default() };
+    let scene = SceneFacts {
+        counts,
+        lights: 1,
+        casting_lights: 1,
+        fog: true,
+        trees: true,
+        ..Default::default()
+    };
     let adapter = AdapterFacts::default();
     let box_from_world = DAffine3::IDENTITY;
     let clip = settings.clip_boxes.map(|boxes| ClipRegion { boxes, box_from_world });

@@ -18,6 +18,7 @@ pub mod push;
 pub mod record_samples;
 pub mod sum_counts;
 
+use super::fog;
 use super::frame::output_number;
 use super::pipelines::Constants;
 use super::project::{band_constant, walk};
@@ -34,7 +35,7 @@ use crate::scene::{PullPushWeights, Shading};
 const SUMS_ROOM: u64 = 1 << 17;
 
 /// Whether splats are lit one by one.
-fn is_lit(recorder: &Recorder) -> bool {
+pub fn is_lit(recorder: &Recorder) -> bool {
     let alone = recorder.task.reconstruction.shades(Shading::Splat);
     alone && recorder.task.output == Output::Color && recorder.scene.light_count > 0
 }
@@ -111,6 +112,10 @@ fn constants(recorder: &Recorder, walked: bool) -> Constants {
         ("OVERRIDES", u32::from(recorder.scene.looks.overrides)),
         ("DEFERRED", u32::from(recorder.task.is_deferred())),
     ];
+    // Splats that leave no depths are seen through fog one by one.
+    if recorder.task.reconstruction.without_depths().is_some() {
+        constants.extend(fog::constants(recorder));
+    }
     match recorder.task.reconstruction {
         Reconstruction::Fuzzy(_) => {
             constants.push(("HIDES", u32::from(recorder.task.plan.runs(Pass::ProjectTriangles))));

@@ -12,6 +12,7 @@ pub mod resolve_splats;
 pub mod resolve_triangles;
 pub mod write_output;
 
+use super::fog;
 use super::frame::output_number;
 use super::pipelines::Constants;
 use super::recorder::{Launch, Recorder};
@@ -74,6 +75,7 @@ fn output_constants(recorder: &Recorder) -> Constants {
     if is_lit {
         constants.extend(light_constants(recorder));
     }
+    constants.extend(fog::constants(recorder));
     constants
 }
 

@@ -40,7 +40,8 @@ fn other_value(setting: &Setting) -> Given {
 #[test]
 fn every_setting_has_a_say_in_the_canonical_form() {
     let counts = Counts { samples: 1, segments: 1, ..Counts::default() };
-    let scene = SceneFacts { counts, lights: 1, casting_lights: 1, ..SceneFacts::default() };
+    let scene =
+        SceneFacts { counts, lights: 1, casting_lights: 1, fog: true, ..SceneFacts::default() };
     for setting in declared() {
         let other = other_value(setting);
         let mut without = other;
@@ -72,9 +73,16 @@ fn declarations_are_complete() {
             let Some(SettingKind::Choice { choices, .. }) = kind else {
                 // Any text will do.
                 let is_text = matches!(kind, Some(SettingKind::Text { .. }));
-                let is_fact =
-                    ["output", "samples", "segments", "lights", "casting_lights", "fields"]
-                        .contains(&rule.of);
+                let is_fact = [
+                    "output",
+                    "samples",
+                    "segments",
+                    "lights",
+                    "casting_lights",
+                    "scene_fog",
+                    "fields",
+                ]
+                .contains(&rule.of);
                 assert!(is_text || is_fact, "{}", rule.of);
                 assert!(!is_text || rule.is.is_empty(), "{}", rule.of);
                 continue;

@@ -146,6 +146,8 @@ fn records_match_the_shaders() {
                 field_count,
                 line_radius,
                 paint_capacity,
+                fog,
+                fog_up,
                 clips,
                 sun_maps
             ),

@@ -235,6 +235,13 @@ fn refusals_beyond_nodes() {
     top(r#""subject": [[1, 1, 1], [1, 1, 1]]"#, "subject", "must differ");
     top(r#""subject": [[0, 0, 0], [1, 1, 1e300]]"#, "subject[1][2]", "outside");
     top(r#""background": [1, 2, 0]"#, "background[1]", "outside 0..=1");
+    let fog = |rest: &str| format!(r##""fog": {{"color": "#fff"{rest}}}"##);
+    top(&fog(""), "fog", "missing field `density`");
+    top(&fog(r#", "density": -0.1"#), "fog.density", "outside 0..=1000000000");
+    top(&fog(r#", "density": 1, "height": 2"#), "fog.height", "`base_height`");
+    top(&fog(r#", "density": 1, "scale_height": 0"#), "fog.scale_height", "0 lies outside");
+    top(&fog(r#", "density": 1, "base_height": 2"#), "fog.base_height", "`scale_height`");
+    top(r#""fog": {"color": "red", "density": 1}"#, "fog.color", "#rrggbb");
     top(r#""lights": [{"kind": "sun"}]"#, "lights[0]", "needs `direction`");
     top(
         r#""lights": [{"kind": "sum", "direction": [0,0,1]}]"#,

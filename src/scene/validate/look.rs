@@ -160,7 +160,7 @@ pub(super) fn background(wire: Option<&ColorWire>) -> Valid<[f32; 4]> {
 }
 
 /// sRGB with alpha.
-fn color(wire: &ColorWire, place: Place<'_>) -> Valid<[f64; 4]> {
+pub(super) fn color(wire: &ColorWire, place: Place<'_>) -> Valid<[f64; 4]> {
     match wire {
         ColorWire::Hex(text) => match parse_hex(text) {
             Some(channels) => Ok(channels),
@@ -177,7 +177,7 @@ fn color(wire: &ColorWire, place: Place<'_>) -> Valid<[f64; 4]> {
     }
 }
 
-fn rgb([r, g, b, _]: [f32; 4]) -> [f32; 3] {
+pub(super) fn rgb([r, g, b, _]: [f32; 4]) -> [f32; 3] {
     [r, g, b]
 }
 

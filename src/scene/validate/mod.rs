@@ -4,6 +4,7 @@
 //! spelt out when something is wrong there.
 
 mod assets;
+mod effects;
 mod look;
 mod placement;
 
@@ -133,6 +134,7 @@ pub(super) fn scene(
         nodes: top_nodes(&wire.nodes, &context)?,
         lights: look::lights(wire.lights.as_deref())?,
         background: look::background(wire.background.as_ref())?,
+        fog: wire.fog.as_deref().map(|fog| effects::fog(fog, up)).transpose()?.flatten(),
         cameras: each(&wire.cameras, "cameras", |name, wire, place| {
             Ok((name.to_owned(), look::camera(wire, up, place)?))
         })?,

@@ -1,0 +1,36 @@
+//! What lies between surfaces and the eye.
+
+use glam::DVec3;
+
+use super::super::color::to_linear;
+use super::super::wire::FogWire;
+use super::super::{Fog, FogLayer};
+use super::look::{color, rgb};
+use super::{LARGEST_COORDINATE, Place, Valid, within};
+
+const LARGEST_DENSITY: f64 = 1e9;
+const SMALLEST_SCALE_HEIGHT: f64 = 1e-6;
+
+/// The fog of a scene; `None` where its density is 0.
+pub(super) fn fog(wire: &FogWire, up: DVec3) -> Valid<Option<Fog>> {
+    let root = Place::Root;
+    let place = root.key("fog");
+    let color = rgb(to_linear(color(&wire.color, place.key("color"))?));
+    let density = within(wire.density, 0.0, LARGEST_DENSITY, place.key("density"))?;
+    let base = wire.base_height.unwrap_or(0.0);
+    let base = within(base, -LARGEST_COORDINATE, LARGEST_COORDINATE, place.key("base_height"))?;
+    let layer = match wire.scale_height {
+        Some(scale) => {
+            let place = place.key("scale_height");
+            let scale = within(scale, SMALLEST_SCALE_HEIGHT, LARGEST_COORDINATE, place)?;
+            Some(FogLayer { up, base, scale })
+        }
+        None if wire.base_height.is_some() => {
+            return place.key("base_height").refuse(
+                "only fog with a `scale_height` has one: other fog is as dense at every height",
+            );
+        }
+        None => None,
+    };
+    Ok((density > 0.0).then_some(Fog { color, density, layer }))
+}
