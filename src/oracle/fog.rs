@@ -16,7 +16,7 @@ pub fn seen_through(fog: &Fog, view: &View, color: [f64; 3], place: DVec3) -> [f
 /// The background, which is infinitely far away along the ray of a pixel; its alpha stays.
 pub fn background(fog: &Fog, view: &View, color: [f64; 4], ray: DVec3) -> [f64; 4] {
     let [r, g, b, alpha] = color;
-    let way = (view.view_from_world.transpose() * view.towards(ray)).normalize();
+    let way = (view.view_from_world.transpose() * view.towards(ray)).normalize_or_zero();
     let start = if view.is_orthographic() { ray.with_z(0.0) } else { DVec3::ZERO };
     let from = view.eye + view.view_from_world.transpose() * start;
     let depth = match fog.layer {
