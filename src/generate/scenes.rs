@@ -402,7 +402,7 @@ pub fn plaza(name: &str, count: u64, seed: u64, progress: &Progress) -> Generate
     {{ "name": "square", "prototype": "row", "repeat": {{ "grid": [1, 1, {count}], "step": [0, 0, {PITCH_M}] }} }}
   ],
 {SUNSHINE},
-  "fog": {{ "color": "#cfdbe6", "density": 0.012, "scale_height": 12 }},
+  "fog": {{ "color": "#cfdbe6", "density": 0.005, "scale_height": 12 }},
   "background": "#b9cbdd",
 {},
 {},
