@@ -74,7 +74,9 @@ impl From<StoredFrame> for FrameSpec {
     fn from(stored: StoredFrame) -> FrameSpec {
         let StoredFrame { width, height, format, quality, output, settings } = stored;
         let earlier = Settings { edl: Edl::Off, ..Settings::drawn_as(Reconstruct::Points) };
-        let settings = settings.or(&earlier.applied());
+        // Earlier versions had no goals, and what a goal leaves open is not stored.
+        let has_goal = Settings::from(settings).goal().is_some();
+        let settings = if has_goal { settings } else { settings.or(&earlier.applied()) };
         let settings = Settings::from(settings).applied();
         FrameSpec { width, height, format, quality, output, settings }
     }

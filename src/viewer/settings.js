@@ -18,7 +18,7 @@ function control(setting) {
   label.title = setting.help;
   if (setting.kind === 'number') {
     const input = document.createElement('input');
-    Object.assign(input, { id: setting.name, type: 'number', min: setting.least, max: setting.most, step: 'any', inputMode: 'decimal', placeholder: setting.default ?? 'as the scene' });
+    Object.assign(input, { id: setting.name, type: 'number', min: setting.least, max: setting.most, step: 'any', inputMode: 'decimal', placeholder: setting.default ?? (setting.absent === 'none' ? 'none' : 'as the scene') });
     label.append(input);
     return label;
   }

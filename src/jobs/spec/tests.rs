@@ -56,6 +56,15 @@ fn jobs_of_earlier_versions_stay_readable() {
     // An equal job created today has the same frame specification.
     let today = FrameRequest { settings: asked, ..spec.request() };
     assert_eq!(FrameSpec::new(&today), stored);
+    // A goal leaves open what it does not store.
+    let given = Given { min_psnr_db: Some(30.0), ..Given::default() };
+    let goal = FrameRequest { settings: given.into(), ..spec.request() };
+    let text = serde_json::to_string(&FrameSpec::new(&goal)).unwrap();
+    let stored: FrameSpec = serde_json::from_str(&text).unwrap();
+    assert_eq!(
+        Settings::from(stored.settings),
+        Settings { wait: Wait::default(), ..goal.settings }
+    );
     let full: FrameSpec = serde_json::from_str(&STORED.replace("spt", "full")).unwrap();
     assert_eq!(full.settings.max_error_px, None, "full detail has no error");
 }

@@ -58,8 +58,10 @@ pub enum SettingKind {
     Number {
         least: f64,
         most: f64,
-        /// `null`: as the scene has it.
+        /// `null`: see `absent`.
         default: Option<f64>,
+        /// What holds without a value where there is no default: `the scene’s` value, or `none`.
+        absent: &'static str,
         unit: &'static str,
     },
 }

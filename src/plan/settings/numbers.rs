@@ -4,6 +4,9 @@ use serde::{Deserialize, Serialize};
 
 use super::SettingKind;
 
+/// What holds without a value of a number that the scene may give.
+const SCENES: &str = "the scene’s";
+
 /// Declares types of bounded numbers: name, unit, range and default.
 macro_rules! numbers {
     ($($(#[doc = $doc:literal])+ $name:ident: $least:literal to $most:literal $unit:literal, $default:literal;)+) => {$(
@@ -26,7 +29,13 @@ macro_rules! numbers {
 
             pub(super) fn kind() -> SettingKind {
                 let [least, most] = $name::RANGE.map(exact);
-                SettingKind::Number { least, most, default: Some(exact($default)), unit: $unit }
+                SettingKind::Number {
+                    least,
+                    most,
+                    default: Some(exact($default)),
+                    absent: SCENES,
+                    unit: $unit,
+                }
             }
         }
 
@@ -86,7 +95,7 @@ numbers! {
 
 /// Declares types of numbers that may be missing.
 macro_rules! optional {
-    ($($(#[doc = $doc:literal])+ $name:ident of $number:ident;)+) => {$(
+    ($($(#[doc = $doc:literal])+ $name:ident of $number:ident, $absent:expr;)+) => {$(
         $(#[doc = $doc])+
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize)]
         #[serde(transparent)]
@@ -96,7 +105,7 @@ macro_rules! optional {
             pub(super) fn kind() -> SettingKind {
                 match $number::kind() {
                     SettingKind::Number { least, most, unit, .. } => {
-                        SettingKind::Number { least, most, default: None, unit }
+                        SettingKind::Number { least, most, default: None, absent: $absent, unit }
                     }
                     other => other,
                 }
@@ -113,11 +122,11 @@ macro_rules! optional {
 
 optional! {
     /// Least width of lines. Where there is none, the scene decides.
-    LineWidth of LineWidthPx;
+    LineWidth of LineWidthPx, SCENES;
     /// Longest GPU time of a frame, where there is one.
-    Budget of BudgetMs;
+    Budget of BudgetMs, "none";
     /// Least peak signal-to-noise ratio of a frame, where there is one.
-    MinPsnr of Decibels;
+    MinPsnr of Decibels, "none";
 }
 
 /// Declares numbers that grow with the pixels of a frame.
@@ -188,7 +197,13 @@ impl ColorBound {
     }
 
     pub(super) fn kind() -> SettingKind {
-        SettingKind::Number { least: -1e9, most: 1e9, default: None, unit: "units of the value" }
+        SettingKind::Number {
+            least: -1e9,
+            most: 1e9,
+            default: None,
+            absent: SCENES,
+            unit: "units of the value",
+        }
     }
 }
 

@@ -253,8 +253,9 @@ fn page() -> String {
             SettingKind::Text { accepted, default, .. } => {
                 ((*accepted).to_owned(), Some((*default).to_owned()))
             }
-            SettingKind::Number { default, .. } => {
-                (setting.kind.accepted(), default.map(|default| default.to_string()))
+            SettingKind::Number { default, absent, .. } => {
+                let default = default.map_or((*absent).to_owned(), |default| default.to_string());
+                (setting.kind.accepted(), Some(default))
             }
         };
         let default = default.unwrap_or_else(|| "the scene’s".to_owned());
