@@ -24,6 +24,7 @@ use std::thread::JoinHandle;
 use parking_lot::Mutex;
 
 use self::store::Store;
+use self::work::Outcome;
 use super::planning;
 use super::poses::{UnknownCamera, of_cameras};
 use super::truth::Finer;
@@ -304,17 +305,23 @@ impl Shared {
             Err(State::Failed(Failure::Other(detail.to_owned())))
         });
         admission.shrink_to(0);
-        let (state, kept) = match measured {
-            Ok(kept) => (State::Done, kept.map(Arc::new)),
-            Err(state) => (state, None),
-        };
-        tracing::info!(scene, ?state, "accuracy measured");
         // Written before the survey counts as ended: whoever sees it done finds the file.
-        let is_wanted = || {
+        let is_wanted = {
             let book = self.book.lock();
             book.running.as_ref().is_some_and(|running| running.fate == Fate::Wanted)
         };
-        let kept = kept.filter(|_| is_wanted());
+        let (state, kept) = match measured {
+            Ok(Outcome::Results(kept)) => (State::Done, Some(Arc::new(kept))),
+            Ok(Outcome::Planner(measured)) if is_wanted => {
+                // A scene that was deleted meanwhile has nothing to learn.
+                let _ = self.engine.learn(scene, measured);
+                (State::Done, None)
+            }
+            Ok(Outcome::Planner(_)) => (State::Cancelled, None),
+            Err(state) => (state, None),
+        };
+        tracing::info!(scene, ?state, "accuracy measured");
+        let kept = kept.filter(|_| is_wanted);
         if let Some(kept) = &kept {
             self.store.write(kept);
         }

@@ -197,6 +197,11 @@ impl BakeCache {
         })
     }
 
+    /// Removes a note. Returns whether it was there.
+    pub fn remove_note(&self, key: &[u8; 32]) -> bool {
+        fs::remove_file(self.path(key).with_extension(NOTE_EXTENSION)).is_ok()
+    }
+
     /// Removes an entry, if it is there.
     pub fn remove(&self, key: &[u8; 32]) {
         remove(&self.path(key));

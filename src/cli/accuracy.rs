@@ -40,7 +40,7 @@ pub struct AccuracyArgs {
     #[arg(long)]
     stability: bool,
     /// Measure the scene for the planner, which chooses settings for --budget-ms and --min-psnr-db; the measurements are kept beside the point
-    /// trees
+    /// trees once all are made
     #[arg(long, conflicts_with_all = ["stability", "out", "camera", "repeats", "quick", "oracle"])]
     planner: bool,
     /// Folder for the report, created if missing: index.html, accuracy.json, .md and .svg, and frames; with --stability

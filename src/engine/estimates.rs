@@ -116,6 +116,7 @@ impl Loaded {
             placements: self.placements.clone(),
             warnings: self.info.warnings.clone(),
             digest: self.digest,
+            origin: self.origin,
             keys: self.keys.clone(),
             path: self.path.clone(),
         };

@@ -127,6 +127,7 @@ pub fn load(
         placements,
         warnings,
         digest,
+        origin: digest,
         keys: asset_keys,
         path: path.to_owned(),
     };

@@ -51,6 +51,8 @@ pub struct Loaded {
     pub(super) patches: [OnceLock<Vec<Patch>>; GeometryKind::ALL.len()],
     /// Hash of the description and of every file's content.
     pub digest: [u8; 32],
+    /// The digest that the scene was loaded with, the same in all revisions.
+    pub origin: [u8; 32],
     pub(super) description: Scene,
     /// The top-level nodes of each run of instances, the same in all revisions.
     pub(super) nodes: Arc<[Range<usize>]>,
@@ -79,6 +81,7 @@ pub struct Parts {
     pub placements: Vec<Arc<Vec<Placement>>>,
     pub warnings: Vec<String>,
     pub digest: [u8; 32],
+    pub origin: [u8; 32],
     pub keys: Vec<AssetKey>,
     pub path: PathBuf,
 }
@@ -151,8 +154,18 @@ pub fn build(
     let listed = parts.description.instance_count().saturating_mul(INSTANCE_BYTES);
     admission.grow("a list of instances", listed)?;
     let instances = unfold(&parts, &nodes, known, config.scene.max_instances)?;
-    let Parts { id, revision, description, assets, placements, warnings, digest, keys, path } =
-        parts;
+    let Parts {
+        id,
+        revision,
+        description,
+        assets,
+        placements,
+        warnings,
+        digest,
+        origin,
+        keys,
+        path,
+    } = parts;
     let model = SceneModel {
         uid: next_uid(),
         id,
@@ -181,6 +194,7 @@ pub fn build(
         info,
         patches: Default::default(),
         digest,
+        origin,
         description,
         nodes,
         _memory: admission.keep(admission.held()),
@@ -320,6 +334,7 @@ impl Loaded {
             placements: self.placements.clone(),
             warnings: self.info.warnings.clone(),
             digest: hasher.finalize().into(),
+            origin: self.origin,
             keys: self.keys.clone(),
             path: self.path.clone(),
         };

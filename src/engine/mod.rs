@@ -314,6 +314,15 @@ impl Engine {
         Ok(state.planners.learn(state, &*state.loaded(id)?, measured))
     }
 
+    /// Forgets what [`Engine::learn`] took on. Returns whether there was anything.
+    ///
+    /// # Errors
+    /// [`EngineError::UnknownScene`].
+    pub fn unlearn(&self, id: &str) -> Result<bool, EngineError> {
+        let state = self.state();
+        Ok(state.planners.forget(state, &*state.loaded(id)?))
+    }
+
     /// The settings for the frames of a film: the goal of the requests is kept by all of them. `None` for requests without a goal.
     ///
     /// # Errors

@@ -60,7 +60,8 @@ struct Note {
 #[derive(Clone)]
 pub struct PlannedFrame {
     pub receipt: PlanReceipt,
-    /// Where they were chosen from, the chosen row, and its predicted time in ms at the pace of measured frames.
+    /// Where they were chosen from, the chosen row, and its predicted time in ms at the pace of measured frames; `None` where the frame's time tells
+    /// nothing about that of measured ones.
     from: Option<(Arc<Known>, usize, f64)>,
 }
 
@@ -100,9 +101,10 @@ impl Planners {
         let known = Arc::new(known);
         let mut all = self.known.lock();
         if all.len() >= MOST_SCENES
+            && !all.contains_key(&known.key)
             && let Some(&some) = all.keys().next()
         {
-            // Its note is still there.
+            // With a cache, it is found again in its note.
             all.remove(&some);
         }
         all.insert(known.key, known.clone());
@@ -131,6 +133,14 @@ impl Planners {
         let known = Known::new(key(state, loaded), loaded, measured, Paces::default());
         known.write(self.cache.as_ref(), Paces::default());
         self.keep(known).planner.len()
+    }
+
+    /// Forgets the measurements of a scene. Returns whether there were any.
+    pub fn forget(&self, state: &EngineState, loaded: &Loaded) -> bool {
+        let key = key(state, loaded);
+        let was_known = self.known.lock().remove(&key).is_some();
+        let had_note = self.cache.as_ref().is_some_and(|cache| cache.remove_note(&key));
+        was_known || had_note
     }
 
     /// Takes a drawn frame into account that took `actual_ms`, and completes its receipt.
@@ -167,7 +177,8 @@ fn key(state: &EngineState, loaded: &Loaded) -> Key {
         hasher.update(part);
     }
     hasher.update([u8::from(adapter.atomics_64)]);
-    hasher.update(loaded.digest);
+    // Moved nodes change the ground, and not what was measured.
+    hasher.update(loaded.origin);
     hasher.finalize().into()
 }
 
@@ -203,7 +214,7 @@ pub fn planned(
     let Some(chosen) = known.planner.choose(&goal, &asked, &grounds, &paces, fits) else {
         return unplanned("no measured setting goes with those that are given");
     };
-    let is_color = request.output == Output::Color;
-    let from = is_color.then_some((known, chosen.row, chosen.measured_pace_ms));
+    let is_as_measured = chosen.is_as_measured && request.output == Output::Color;
+    let from = is_as_measured.then_some((known, chosen.row, chosen.measured_pace_ms));
     (with(chosen.settings), Some(PlannedFrame { receipt: chosen.plan, from }))
 }

@@ -265,7 +265,7 @@ pub async fn cancel(
     Ok(Json(known.await?))
 }
 
-/// Deletes the results of a scene, and cancels its measurement.
+/// Deletes the results of a scene and what was measured for the planner, and cancels its measurement.
 #[utoipa::path(
     delete,
     path = "/v1/scenes/{id}/accuracy",
@@ -279,9 +279,11 @@ pub async fn remove(
     Segments(id): Segments<String>,
     _: NoQuery,
 ) -> Result<StatusCode, Problem> {
-    on_thread(&app, &id, |app, id| match app.surveys.forget(id) {
-        true => Ok(StatusCode::NO_CONTENT),
-        false => Err(not_measured(id)),
+    on_thread(&app, &id, |app, id| {
+        let had_results = app.surveys.forget(id);
+        let unlearned = app.engine.unlearn(id);
+        let had_planner = unlearned.map_err(|error| missing(app, id, error.into()))?;
+        if had_results || had_planner { Ok(StatusCode::NO_CONTENT) } else { Err(not_measured(id)) }
     })
     .await
 }

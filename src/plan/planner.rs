@@ -8,6 +8,8 @@ mod ground;
 mod measured;
 mod model;
 
+use std::sync::Arc;
+
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -45,13 +47,18 @@ pub struct Goal {
 pub struct Planner {
     rows: Vec<Row>,
     poses: usize,
+    /// Names of the settings that some row gives.
+    varied: Vec<&'static str>,
 }
 
 #[derive(Clone, Debug)]
 struct Row {
     label: String,
     given: Given,
-    model: Model,
+    /// Shared with rows that are drawn alike everywhere.
+    model: Arc<Model>,
+    /// The first row that is drawn alike: they have one pace.
+    alike: usize,
 }
 
 /// How long frames take now, over how long they took when they were measured.
@@ -65,11 +72,14 @@ pub struct Paces {
 /// A setting that was chosen.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chosen {
+    /// The first of the rows that are drawn alike.
     pub row: usize,
     pub settings: Settings,
     pub plan: PlanReceipt,
     /// Time in ms that would be predicted if frames took as long as measured ones.
     pub measured_pace_ms: f64,
+    /// Whether the frame differs from measured ones in its pose and size alone, so that its time tells something about theirs.
+    pub is_as_measured: bool,
 }
 
 /// How settings were chosen for a time budget or an error.
@@ -79,7 +89,8 @@ pub struct PlanReceipt {
     pub budget_ms: Option<f64>,
     /// Least peak signal-to-noise ratio that was asked for, in decibels.
     pub min_psnr_db: Option<f64>,
-    /// Whether the chosen setting is expected to keep them; `null` where no measurements tell.
+    /// Whether the chosen setting is expected to keep them; `null` where no measurements tell, and where the request gives settings that were not varied
+    /// when the scene was measured.
     pub keeps: Option<bool>,
     /// Why this setting was chosen.
     pub because: String,
@@ -154,16 +165,29 @@ impl Planner {
     /// Fits models to measured frames. `grounds` are those of the poses. Settings with fewer than [`LEAST_POSES`] measured poses are left
     /// out.
     pub fn fit(measured: &Measured, grounds: &[Ground]) -> Planner {
-        let row = |row: &MeasuredRow| {
-            let points: Vec<(Ground, Point)> = grounds
-                .iter()
-                .zip(&row.points)
-                .filter_map(|(ground, point)| Some((ground.clone(), (*point)?)))
-                .collect();
-            let model = Model::fit(effort(&row.given), &points)?;
-            Some(Row { label: row.label.clone(), given: row.given, model })
-        };
-        Planner { rows: measured.rows.iter().filter_map(row).collect(), poses: grounds.len() }
+        let mut rows: Vec<Row> = Vec::new();
+        let mut fitted: Vec<&MeasuredRow> = Vec::new();
+        for row in &measured.rows {
+            let found = fitted.iter().position(|other| other.points == row.points);
+            let (model, alike) = match found {
+                Some(alike) => (rows[alike].model.clone(), alike),
+                None => {
+                    let points: Vec<(Ground, Point)> = grounds
+                        .iter()
+                        .zip(&row.points)
+                        .filter_map(|(ground, point)| Some((ground.clone(), (*point)?)))
+                        .collect();
+                    let Some(model) = Model::fit(effort(&row.given), &points) else { continue };
+                    (Arc::new(model), rows.len())
+                }
+            };
+            fitted.push(row);
+            rows.push(Row { label: row.label.clone(), given: row.given, model, alike });
+        }
+        let mut varied: Vec<&'static str> = rows.iter().flat_map(|row| row.given.names()).collect();
+        varied.sort_unstable();
+        varied.dedup();
+        Planner { rows, poses: grounds.len(), varied }
     }
 
     /// Number of settings to choose from.
@@ -189,8 +213,8 @@ impl Planner {
             .iter()
             .enumerate()
             .filter_map(|(index, row)| {
-                let settings = asked.planned(&row.given).filter(&allows)?;
-                let pace = paces.of(index);
+                let settings = asked.planned(&row.given, &self.varied).filter(&allows)?;
+                let pace = paces.of(row.alike);
                 let frames = grounds.iter().map(|ground| row.model.predict(ground, pace));
                 Some((index, settings, frames.reduce(Prediction::worse)?))
             })
@@ -198,16 +222,26 @@ impl Planner {
         let (best, because) = pick(goal, &found)?;
         let (row, settings, prediction) = found[best];
         let front = self.front(&found, best);
+        let others = asked.beyond(&self.varied);
+        let (keeps, because) = match &others[..] {
+            [] => (Some(goal.keeps(&prediction)), because),
+            // A picture of another look has other errors and times.
+            others => {
+                let others = others.join("`, `");
+                (None, format!("{because}, as far as is known: it was measured without `{others}`"))
+            }
+        };
         let plan = PlanReceipt {
-            keeps: Some(goal.keeps(&prediction)),
+            keeps,
             chosen: Some(self.alternative(row, &prediction)),
             alternatives: front,
             compared: found.len(),
             poses: self.poses,
             ..goal.unplanned(because)
         };
+        let row = self.rows[row].alike;
         let measured_pace_ms = prediction.ms / paces.of(row);
-        Some(Chosen { row, settings, plan, measured_pace_ms })
+        Some(Chosen { row, settings, plan, measured_pace_ms, is_as_measured: others.is_empty() })
     }
 
     fn alternative(&self, row: usize, found: &Prediction) -> Alternative {
@@ -232,7 +266,7 @@ impl Planner {
             if is_better {
                 most_db = found[at].2.psnr_db;
             }
-            is_better && at != but
+            is_better && self.rows[found[at].0].alike != self.rows[found[but].0].alike
         });
         // Those whose time is next to the chosen one's.
         let chosen_ms = found[but].2.ms;
@@ -250,9 +284,10 @@ fn pick(goal: &Goal, found: &[(usize, Settings, Prediction)]) -> Option<(usize, 
         among.min_by(|&a, &b| found[a].2.ms.total_cmp(&found[b].2.ms))
     };
     let most_exact = |among: &mut dyn Iterator<Item = usize>| {
-        among.max_by(|&a, &b| {
-            let by_error = found[a].2.least_psnr_db.total_cmp(&found[b].2.least_psnr_db);
-            by_error.then(found[b].2.ms.total_cmp(&found[a].2.ms))
+        // Of equal ones the first, as for the fastest: plain settings come first.
+        among.min_by(|&a, &b| {
+            let by_error = found[b].2.least_psnr_db.total_cmp(&found[a].2.least_psnr_db);
+            by_error.then(found[a].2.ms.total_cmp(&found[b].2.ms))
         })
     };
     let of = |test: &dyn Fn(&Prediction) -> bool| {

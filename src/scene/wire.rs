@@ -322,7 +322,7 @@ pub(super) struct LightWire {
 pub(super) struct FogWire {
     /// Colour of what is far within the fog. It is shown as it is; lights do not change it.
     pub color: ColorWire,
-    /// Extinction for each scene unit, 0 to 1e9: at a distance of 1 / density, 37 % of a surface's light are left; at 3 / density, 5 %.
+    /// Extinction for each scene unit, 0 or 1e-12 to 1e9: at a distance of 1 / density, 37 % of a surface's light are left; at 3 / density, 5 %.
     pub density: f64,
     /// Height over which the density falls by a factor of e, in scene units along the scene's up. When absent, the fog is as dense everywhere.
     #[serde(default)]

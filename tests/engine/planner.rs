@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use pointillist::bake::cache::BakeCache;
-use pointillist::engine::{FrameRequest, Pose, Receipt};
+use pointillist::engine::{FrameRequest, NodePatch, Pose, Receipt};
 use pointillist::math::{Camera, Lens};
 use pointillist::plan::planner::{Measured, MeasuredPose, MeasuredRow, Point};
 use pointillist::plan::{Given, Lod, Output, Reconstruct, Settings};
@@ -144,6 +144,10 @@ fn measurements_outlive_the_engine_and_belong_to_the_content() {
     // Under another id as well, but not for another content.
     second.load_json("other", &cloud_scene("wall.ply"));
     assert_eq!(second.engine.planner_size("other").unwrap(), Some([4, 8]));
+    // Moved nodes are another ground, and the same content.
+    let moved = NodePatch { visible: Some(true), ..NodePatch::default() };
+    second.engine.patch("other", "wall", &moved).unwrap();
+    assert_eq!(second.engine.planner_size("other").unwrap(), Some([4, 8]));
     drop(second);
     assert_eq!(open(21).engine.planner_size("cloud").unwrap(), None);
     // A damaged note is none.
@@ -152,7 +156,12 @@ fn measurements_outlive_the_engine_and_belong_to_the_content() {
             std::fs::write(note.path(), b"damaged").unwrap();
         }
     }
-    assert_eq!(open(20).engine.planner_size("cloud").unwrap(), None);
+    let fourth = open(20);
+    assert_eq!(fourth.engine.planner_size("cloud").unwrap(), None);
+    fourth.engine.learn("cloud", measured()).unwrap();
+    assert!(fourth.engine.unlearn("cloud").unwrap());
+    assert!(!fourth.engine.unlearn("cloud").unwrap());
+    assert_eq!(fourth.engine.planner_size("cloud").unwrap(), None);
 }
 
 #[test]

@@ -262,6 +262,13 @@ fn a_measurement_for_the_planner_serves_goals() {
     let known = plan();
     assert_eq!((&known["keeps"], &known["poses"]), (&json!(true), &json!(24)), "{known}");
     assert!(known["actual_ms"].as_f64().is_some_and(|ms| ms > 0.0), "{known}");
+    let removed = |status: u16| {
+        let reply = client.send("DELETE", PLACE, &[], None);
+        assert_eq!(reply.status, status, "{}", reply.text());
+    };
+    removed(204);
+    removed(404);
+    assert_eq!(state(&client)["planner"], Value::Null);
 }
 
 #[test]

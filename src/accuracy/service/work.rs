@@ -19,8 +19,14 @@ const LANE: u64 = 0;
 /// Seed of the order in which frames are timed.
 const SEED: u64 = 1;
 
+/// What was measured.
+pub(super) enum Outcome {
+    Results(Kept),
+    Planner(Measured),
+}
+
 impl Shared {
-    /// Surveys a scene. `None` for measurements that the planner has taken on.
+    /// Surveys a scene.
     ///
     /// # Errors
     /// How the survey ended without results.
@@ -29,23 +35,19 @@ impl Shared {
         scene: &str,
         wanted: &Wanted,
         stop: &AtomicBool,
-    ) -> Result<Option<Kept>, State> {
+    ) -> Result<Outcome, State> {
         let engine = &self.engine;
         let mark = engine.scene_mark(scene);
         let has_changed = || engine.scene_mark(scene) != mark;
-        let surveyed = if wanted.is_for_planner {
-            self.plan(scene, wanted, stop, &has_changed).map(Err)
+        let measured = if wanted.is_for_planner {
+            self.plan(scene, wanted, stop, &has_changed).map(Outcome::Planner)
         } else {
-            self.survey(scene, wanted, stop, &has_changed).map(Ok)
+            self.survey(scene, wanted, stop, &has_changed).map(Outcome::Results)
         };
         // Frames of a scene that changed show both contents, or failed because of the change.
         if has_changed() {
             return Err(State::Failed(Failure::SceneChanged));
         }
-        let measured = surveyed.and_then(|surveyed| match surveyed {
-            Ok(kept) => Ok(Some(kept)),
-            Err(measured) => Ok(engine.learn(scene, measured).map(|_| None)?),
-        });
         measured.map_err(|error| match error {
             SurveyError::Stopped | SurveyError::Engine(EngineError::ShuttingDown) => {
                 State::Cancelled

@@ -13,6 +13,8 @@ use super::ground::{Ground, Load};
 const PARTS: usize = 7;
 /// Rounds of the coordinate descent that fits the factors. Some parts nearly grow together, so that it needs many.
 const ROUNDS: usize = 20_000;
+/// Rounds after one of the poses is left out: the factors begin at those of all poses.
+const MORE_ROUNDS: usize = 1000;
 /// Bandwidth of likeness, in octaves: a pose this far away counts for 1/e of one that is equal.
 const LIKE: f64 = 0.7;
 /// Weight of what is known of no similar pose: predictions far from all measurements are those of the sum alone.
@@ -24,7 +26,7 @@ const CAUTION_DB: f64 = 0.5;
 /// Mean squared error of equal frames: they have 99 dB.
 const LEAST_MSE: f64 = 65025.0 / 7.943_282_347e9;
 /// Least number of measured poses from which anything is predicted.
-pub const LEAST_POSES: usize = 4;
+pub const LEAST_POSES: usize = 8;
 
 /// A measured frame: mean squared error of its bytes, and time in ms.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -92,7 +94,7 @@ impl Model {
             .iter()
             .map(|(ground, point)| parts(ground, effort).map(|part| part / point.ms))
             .collect();
-        let factors = nonnegative(&rows);
+        let factors = nonnegative(&rows, [0.0; PARTS], ROUNDS);
         let known = points
             .iter()
             .map(|(ground, point)| {
@@ -103,9 +105,18 @@ impl Model {
         let mut model = Model { effort, factors, known, margin_log: 0.0, margin_db: 0.0 };
         let (mut late, mut worse): (Vec<f64>, Vec<f64>) = (0..model.known.len())
             .map(|index| {
+                // As if the pose had not been measured.
+                let others: Vec<[f64; PARTS]> = rows
+                    .iter()
+                    .enumerate()
+                    .filter(|(at, _)| *at != index)
+                    .map(|(_, row)| *row)
+                    .collect();
+                let own = nonnegative(&others, factors, MORE_ROUNDS);
                 let (ground, log, db) = &model.known[index];
                 let (mean_log, mean_db) = model.means(ground, Some(index));
-                (log - mean_log, mean_db - db)
+                let moved = (sum(&factors, ground, effort) / sum(&own, ground, effort)).ln();
+                (log + moved - mean_log, mean_db - db)
             })
             .unzip();
         late.sort_unstable_by(f64::total_cmp);
@@ -173,7 +184,7 @@ fn sum(factors: &[f64; PARTS], ground: &Ground, effort: Effort) -> f64 {
 }
 
 /// The factors that are not negative and bring the rows nearest to 1, by least squares (coordinate descent).
-fn nonnegative(rows: &[[f64; PARTS]]) -> [f64; PARTS] {
+fn nonnegative(rows: &[[f64; PARTS]], start: [f64; PARTS], rounds: usize) -> [f64; PARTS] {
     let all: [usize; PARTS] = std::array::from_fn(|column| column);
     // Columns of unit length, so that none is lost to rounding.
     let lengths = all.map(|column| rows.iter().map(|row| row[column].powi(2)).sum::<f64>().sqrt());
@@ -183,8 +194,8 @@ fn nonnegative(rows: &[[f64; PARTS]]) -> [f64; PARTS] {
     let products = all.map(|column| {
         all.map(|other| rows.iter().map(|row| unit(row, column) * unit(row, other)).sum::<f64>())
     });
-    let mut factors = [0.0; PARTS];
-    for _ in 0..ROUNDS {
+    let mut factors = all.map(|column| start[column] * lengths[column]);
+    for _ in 0..rounds {
         for column in all {
             let found: f64 =
                 all.iter().map(|&other| factors[other] * products[column][other]).sum();

@@ -163,6 +163,40 @@ fn what_is_given_stays() {
 }
 
 #[test]
+fn another_look_is_promised_nothing() {
+    let (planner, grounds) = planner();
+    for others in [&[("background", "#ffffff")][..], &[("fog", "off"), ("color_by", "normal")]] {
+        let pairs = [&[("budget_ms", "1000")], others].concat();
+        let chosen = choose(&planner, &pairs, &grounds[4]).unwrap();
+        assert_eq!(chosen.plan.chosen.unwrap().setting, "fine", "{others:?}");
+        assert_eq!((chosen.plan.keeps, chosen.is_as_measured), (None, false), "{others:?}");
+        assert!(chosen.plan.because.contains(others[0].0), "{}", chosen.plan.because);
+    }
+    let plain = [("budget_ms", "1000"), ("projection", "orthographic"), ("lod", "full")];
+    let chosen = choose(&planner, &plain, &grounds[4]).unwrap();
+    assert_eq!((chosen.plan.keeps, chosen.is_as_measured), (Some(true), true));
+}
+
+#[test]
+fn settings_that_are_drawn_alike_count_as_the_first() {
+    let (_, grounds) = planner();
+    let given = given(FULL);
+    let points: Vec<Option<Point>> =
+        grounds.iter().map(|ground| Some(point(0, &given, ground))).collect();
+    let row =
+        |label: &str, given| MeasuredRow { label: label.to_owned(), given, points: points.clone() };
+    let rows = vec![row("full", given), row("twin", self::given(TREES))];
+    let planner = Planner::fit(&Measured { poses: Vec::new(), rows }, &grounds);
+    for goal in [("budget_ms", "1000"), ("min_psnr_db", "10"), ("min_psnr_db", "90")] {
+        let chosen = choose(&planner, &[goal], &grounds[2]).unwrap();
+        assert_eq!(chosen.plan.chosen.unwrap().setting, "full", "{goal:?}");
+        assert!(chosen.plan.alternatives.is_empty());
+    }
+    let twin = choose(&planner, &[("budget_ms", "1000"), ("lod", "spt")], &grounds[2]).unwrap();
+    assert_eq!((twin.plan.chosen.unwrap().setting.as_str(), twin.row), ("twin", 0));
+}
+
+#[test]
 fn frames_of_a_film_all_keep_the_goal() {
     let (planner, grounds) = planner();
     let ms = |of: &[Ground]| {

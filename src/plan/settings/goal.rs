@@ -11,6 +11,10 @@ pub struct Pinned(u64);
 
 const _: () = assert!(Given::NAMES.len() <= 64);
 
+/// Names of the settings that make a goal.
+const BUDGET: &str = "budget_ms";
+const LEAST_PSNR: &str = "min_psnr_db";
+
 impl Settings {
     /// What the frame is asked to keep, where settings are to be chosen for it.
     pub fn goal(&self) -> Option<Goal> {
@@ -50,9 +54,22 @@ impl Settings {
         open.map(|(_, setting)| setting.name).collect()
     }
 
+    /// Names of given settings that affect the picture or its cost, and of which candidates that vary the settings in `varied` say nothing.
+    pub fn beyond(&self, varied: &[&str]) -> Vec<&'static str> {
+        let (own, plain) = (words(self), words(&Settings::default()));
+        let is_given = |name: &str| own.get(name) != plain.get(name) && !varied.contains(&name);
+        // A projection makes another view, which the planner sees. The others are the goal.
+        let others = |name: &str| !["projection", BUDGET, LEAST_PSNR].contains(&name);
+        declared()
+            .iter()
+            .map(|one| one.name)
+            .filter(|name| is_given(name) && others(name))
+            .collect()
+    }
+
     /// The settings with those that are open as in `candidate`, and without a goal. `None` where the candidate contradicts what is given:
-    /// another choice, or a larger number than the given one, which is an upper bound.
-    pub fn planned(&self, candidate: &Given) -> Option<Settings> {
+    /// another choice of a setting in `varied`, or a larger number than the given one, which is an upper bound.
+    pub fn planned(&self, candidate: &Given, varied: &[&str]) -> Option<Settings> {
         let (open, own) = (self.open(), words(self));
         let (plain, values): (_, Map<String, Value>) =
             (words(&Settings::default()), words(candidate));
@@ -69,7 +86,7 @@ impl Settings {
                     }
                     value.cloned()
                 }
-                (SettingKind::Choice { default, .. }, _) => {
+                (SettingKind::Choice { default, .. }, _) if varied.contains(&setting.name) => {
                     let word = value.and_then(Value::as_str).or(default.as_deref());
                     let asked = own.get(setting.name).and_then(Value::as_str);
                     if word.is_some() && word != asked {
@@ -83,5 +100,13 @@ impl Settings {
         }
         let settings = given.resolve().ok()?;
         Some(Settings { decide_for: self.decide_for, wait: self.wait, ..settings })
+    }
+}
+
+impl Given {
+    /// Names of the settings that are given.
+    pub fn names(&self) -> Vec<&'static str> {
+        let own = words(self);
+        Given::NAMES.iter().copied().filter(|name| own.contains_key(*name)).collect()
     }
 }

@@ -9,6 +9,8 @@ use super::look::{color, rgb};
 use super::{LARGEST_COORDINATE, Place, Valid, within};
 
 const LARGEST_DENSITY: f64 = 1e9;
+/// Thinner fog is invisible at any coordinate; with a base far above, the shaders' exponents could not hold it.
+const SMALLEST_DENSITY: f64 = 1e-12;
 const SMALLEST_SCALE_HEIGHT: f64 = 1e-6;
 
 /// The fog of a scene; `None` where its density is 0.
@@ -16,7 +18,8 @@ pub(super) fn fog(wire: &FogWire, up: DVec3) -> Valid<Option<Fog>> {
     let root = Place::Root;
     let place = root.key("fog");
     let color = rgb(to_linear(color(&wire.color, place.key("color"))?));
-    let density = within(wire.density, 0.0, LARGEST_DENSITY, place.key("density"))?;
+    let least = if wire.density == 0.0 { 0.0 } else { SMALLEST_DENSITY };
+    let density = within(wire.density, least, LARGEST_DENSITY, place.key("density"))?;
     let base = wire.base_height.unwrap_or(0.0);
     let base = within(base, -LARGEST_COORDINATE, LARGEST_COORDINATE, place.key("base_height"))?;
     let layer = match wire.scale_height {
