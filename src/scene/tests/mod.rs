@@ -238,6 +238,7 @@ fn refusals_beyond_nodes() {
     let fog = |rest: &str| format!(r##""fog": {{"color": "#fff"{rest}}}"##);
     top(&fog(""), "fog", "missing field `density`");
     top(&fog(r#", "density": -0.1"#), "fog.density", "outside 0..=1000000000");
+    top(&fog(r#", "density": 1e-13"#), "fog.density", "outside 0.000000000001..=1000000000");
     top(&fog(r#", "density": 1, "height": 2"#), "fog.height", "`base_height`");
     top(&fog(r#", "density": 1, "scale_height": 0"#), "fog.scale_height", "0 lies outside");
     top(&fog(r#", "density": 1, "base_height": 2"#), "fog.base_height", "`scale_height`");

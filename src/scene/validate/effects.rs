@@ -18,7 +18,8 @@ pub(super) fn fog(wire: &FogWire, up: DVec3) -> Valid<Option<Fog>> {
     let root = Place::Root;
     let place = root.key("fog");
     let color = rgb(to_linear(color(&wire.color, place.key("color"))?));
-    let least = if wire.density == 0.0 { 0.0 } else { SMALLEST_DENSITY };
+    let is_faint = wire.density > 0.0 && wire.density < SMALLEST_DENSITY;
+    let least = if is_faint { SMALLEST_DENSITY } else { 0.0 };
     let density = within(wire.density, least, LARGEST_DENSITY, place.key("density"))?;
     let base = wire.base_height.unwrap_or(0.0);
     let base = within(base, -LARGEST_COORDINATE, LARGEST_COORDINATE, place.key("base_height"))?;
