@@ -1,7 +1,7 @@
 //! Choice of settings for a goal: a time that the frame may take, an error that it may have, or both. Pure.
 //!
 //! Frames of a scene were measured at several poses and sizes, with settings that trade accuracy for time ([`Measured`]). A [`Planner`] fits a
-//! [model](model) to the frames of each setting. For a new pose it predicts time and error of all settings that the request leaves open, and
+//! [model] to the frames of each setting. For a new pose it predicts time and error of all settings that the request leaves open, and
 //! chooses with margins that the measured frames keep.
 
 mod ground;
