@@ -11,6 +11,7 @@
 //!include shared/output
 //!include shared/light
 //!include shared/edl
+//!include OPENNESS
 //!include shared/recolor
 //!include shared/fog
 // Eye-dome lighting is on.
@@ -63,8 +64,13 @@ fn write_output(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocati
             if !is_lit {
                 surface.color = recoloured(surface, column.at);
             }
+            if OCCLUSION {
+                ambient_share = open_share(column.at, column.pixel);
+            }
             if SHADED && !is_lit {
                 surface.color = lit_color(surface, column.at);
+            } else if !is_lit {
+                surface.color = unlit_color(surface.color);
             }
             if EDL {
                 // Outlines show on surfaces that are too bright for the image as well.

@@ -10,6 +10,14 @@ fn place_of(surface: Surface, at: vec2<u32>) -> vec3<f32> {
     return world_from_camera(ray_through(pixel_centre(at))) / inverse;
 }
 
+// The colour of a surface that is not lit: of its surroundings' light it has what ambient light would be.
+fn unlit_color(color: vec3<f32>) -> vec3<f32> {
+    if OCCLUSION {
+        return color * ambient_share;
+    }
+    return color;
+}
+
 // The linear colour of a surface under all lights; `at`: its pixel.
 fn lit_color(surface: Surface, at: vec2<u32>) -> vec3<f32> {
     var material: Material;
@@ -22,7 +30,7 @@ fn lit_color(surface: Surface, at: vec2<u32>) -> vec3<f32> {
     // Normals are as exact as where a later pass computes light.
     let packed = octahedral_encode(surface.normal);
     if (material.flags & MATERIAL_UNLIT) != 0u || (packed == NO_NORMAL && !surface.is_ball) {
-        return surface.color;
+        return unlit_color(surface.color);
     }
     let place = place_of(surface, at);
     if surface.is_ball {

@@ -28,6 +28,12 @@ override POINT_LIGHTS: bool = true;
 // How many lights there are, if `few_lights` has them all, or 0.
 override FEW_LIGHTS: u32 = 0u;
 
+// Surfaces hide ambient light from each other.
+override OCCLUSION: bool = false;
+
+// The share of ambient light that reaches the surface that is being lit.
+var<private> ambient_share: f32 = 1.0;
+
 fn light_count() -> u32 {
     if FEW_LIGHTS != 0u {
         return FEW_LIGHTS;
@@ -57,6 +63,14 @@ fn arriving(light: Light, place: vec3<f32>, to_eye: vec3<f32>) -> vec4<f32> {
     return vec4<f32>(d / max(distance, 1e-30), 1.0 / (1.0 + ratio * ratio));
 }
 
+// The share of a light that is not kept away as ambient light.
+fn arriving_ambient(light: Light) -> f32 {
+    if OCCLUSION {
+        return select(1.0, ambient_share, light.kind == 0u);
+    }
+    return 1.0;
+}
+
 fn phong(light: Light, albedo: vec3<f32>, material: Material, n: vec3<f32>, place: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
     let l = arriving(light, place, to_eye);
     let cosine = select(max(dot(n, l.xyz), 0.0), 1.0, light.kind == 0u);
@@ -65,7 +79,7 @@ fn phong(light: Light, albedo: vec3<f32>, material: Material, n: vec3<f32>, plac
         let r = 2.0 * cosine * n - l.xyz;
         reflected += material.specular * pow(max(dot(r, to_eye), 0.0), material.shininess);
     }
-    return reflected * light.color.rgb * (l.w * reaching(light, cosine, place, n));
+    return reflected * light.color.rgb * (l.w * reaching(light, cosine, place, n) * arriving_ambient(light));
 }
 
 // The unit direction towards the eye.
@@ -97,7 +111,7 @@ fn phong_ball(light: Light, albedo: vec3<f32>, material: Material, place: vec3<f
     if SPECULAR && light.kind != 0u {
         reflected += material.specular * (0.5 / (material.shininess + 1.0));
     }
-    return reflected * light.color.rgb * (l.w * reaching(light, mean, place, l.xyz));
+    return reflected * light.color.rgb * (l.w * reaching(light, mean, place, l.xyz) * arriving_ambient(light));
 }
 
 fn ball_lights(albedo: vec3<f32>, material: Material, place: vec3<f32>) -> vec3<f32> {

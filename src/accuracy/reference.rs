@@ -134,6 +134,7 @@ impl Reference {
             clip: None,
             edl: None,
             fog: self.description.fog,
+            occlusion: self.description.occlusion,
         }
     }
 

@@ -64,6 +64,8 @@ pub struct SceneInfo {
     pub casting_lights: usize,
     /// Whether the scene has fog.
     pub fog: bool,
+    /// Whether the scene has ambient occlusion.
+    pub occlusion: bool,
     /// Which way is up: what a pose without `up` uses.
     pub up: [f64; 3],
     /// Why that way is up: a guess names its evidence.

@@ -177,6 +177,7 @@ pub fn build(
         lights: description.lights.clone(),
         background: description.background,
         fog: description.fog,
+        occlusion: description.occlusion,
         cameras: description.cameras.clone(),
         up: description.up,
         splats: description.splats,
@@ -224,6 +225,7 @@ fn facts(model: &SceneModel, bounds: &Bounds) -> SceneFacts {
         lights: model.lights.len() as u32,
         casting_lights: casting_lights(model) as u32,
         fog: model.fog.is_some(),
+        occlusion: model.occlusion.is_some(),
         layered_fog: model.fog.is_some_and(|fog| fog.layer.is_some()),
         sparse_lines: counts.segments > 0
             && model.line_area() < SPARSE_LINES * size.max_element().powi(2),
@@ -298,6 +300,7 @@ fn describe(
         lights: model.lights.len(),
         casting_lights: casting_lights(model),
         fog: model.fog.is_some(),
+        occlusion: model.occlusion.is_some(),
         up: if model.up == DVec3::ZERO { DVec3::Y } else { model.up }.into(),
         up_because: description.up_because.clone(),
         warnings,

@@ -337,6 +337,11 @@ impl Renderer {
             least_line_px: drawing.settings.least_line_px() * scale,
             background: drawing.background(&first.frame.model),
             fog: drawing.fog(&first.frame.model),
+            occlusion: first
+                .frame
+                .model
+                .occlusion
+                .filter(|_| drawing.plan.runs(Pass::AmbientOcclusion)),
             window_pixels: passes::window_pixels(self.gpu.max_binding_bytes()),
             entry_capacity: self.scratch.entry_capacity(),
             paint_capacity: self.scratch.paint_capacity(),
@@ -368,6 +373,7 @@ impl Renderer {
             recolor: None,
             edl: None,
             fog: None,
+            occlusion: None,
             parts: 1,
             least_line_px: 0.0,
             opaque_only: true,

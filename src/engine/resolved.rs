@@ -125,8 +125,9 @@ impl Drawing {
         // Without samples it has no effect how they are drawn, but the other frames of a film draw them likewise.
         let settings = Settings::from(applied).drawn_like(&settled);
         let (edl, is_averaged) = (settings.eye_dome(), settings.parts() > 1);
-        let (shadows, fog) = (settings.shadows, settings.fog);
-        let frame = FrameFacts { output, reconstruction, edl, shadows, fog, is_averaged };
+        let (shadows, fog, occlusion) = (settings.shadows, settings.fog, settings.ao);
+        let frame =
+            FrameFacts { output, reconstruction, edl, shadows, fog, occlusion, is_averaged };
         Drawing {
             applied,
             settings,

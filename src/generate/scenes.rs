@@ -224,7 +224,8 @@ pub fn amphora(name: &str, amphora: Generated, height: f64) -> GeneratedScene {
         around(6.0, 0.0, 2.1),
     ];
     let json = format!(
-        "{{\n  \"pointillist\": 1,\n  \"name\": \"{name}\",\n  \"assets\": {{\n    \"amphora\": {{ \"file\": \"{mesh}\" }},\n    \"floor\": {{ \"file\": \"{floor}\" }}\n  }},\n  \"nodes\": [\n    {{ \"name\": \"amphora\", \"asset\": \"amphora\" }},\n    {{ \"name\": \"floor\", \"asset\": \"floor\" }}\n  ],\n{SUNSHINE},\n  \"background\": \"#aebccb\",\n{},\n{},\n{}\n}}\n",
+        "{{\n  \"pointillist\": 1,\n  \"name\": \"{name}\",\n  \"assets\": {{\n    \"amphora\": {{ \"file\": \"{mesh}\" }},\n    \"floor\": {{ \"file\": \"{floor}\" }}\n  }},\n  \"nodes\": [\n    {{ \"name\": \"amphora\", \"asset\": \"amphora\" }},\n    {{ \"name\": \"floor\", \"asset\": \"floor\" }}\n  ],\n{SUNSHINE},\n  \"ambient_occlusion\": {{ \"radius\": {} }},\n  \"background\": \"#aebccb\",\n{},\n{},\n{}\n}}\n",
+        0.25 * h,
         subject(&bounds_of(&amphora)),
         cameras(&poses),
         path("turn", &keys)

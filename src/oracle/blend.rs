@@ -263,7 +263,10 @@ impl<'a> Band<'a> {
         surface.recolor(self.prepared.scene.recolor.as_ref(), self.view, winner.instance);
         let color = match (self.settings.splats.blend, self.settings.splats.shading) {
             (Blend::Weighted, Shading::Splat) => surface.albedo,
-            _ => shade(&surface, self.prepared, self.view.eye),
+            _ => {
+                surface.open = self.prepared.ambient_share(&surface);
+                shade(&surface, self.prepared, self.view.eye)
+            }
         };
         let normal_world = surface.normal_world;
         Blended { color, normal_world, depth, instance: winner.instance }

@@ -13,7 +13,8 @@
 //!    `paint` lays them over each other instead, where that is asked for.
 //!    `pull_push` fills the gaps between samples of one pixel from coarser levels of the image instead, where that is asked for.
 //! 3. `surface`: colour (`texture` included), normal and material where the ray meets the winner.
-//! 4. `shade`: Phong, or the colour as it is. `shadow` finds out what share of a sun a place sees, where suns cast shadows.
+//! 4. `shade`: Phong, or the colour as it is. `shadow` finds out what share of a sun a place sees, where suns cast shadows, and what share of its surroundings
+//!    is open to ambient light. (`occlusion` estimates that from an image, as the renderer does.)
 //! 5. `edl`: eye-dome lighting, where it is asked for.
 //! 6. `fog`: what fog leaves of all that, and of the background, where the scene has some.
 //! 7. `composite`: translucent triangles over all that, in the order of their depths. Depths, normals and ids are those of the nearest
@@ -28,6 +29,7 @@ mod edl;
 mod fog;
 mod footprint;
 mod lines;
+pub mod occlusion;
 mod paint;
 mod predicates;
 mod prepare;
@@ -58,7 +60,9 @@ use crate::assets::{Geometry, Material, Texture};
 use crate::math::View;
 use crate::scene::clipping::ClipRegion;
 use crate::scene::recolor::Recolor;
-use crate::scene::{Discs, EyeDome, Fog, Light, MaterialSpec, Painting, PullPush, Splats};
+use crate::scene::{
+    AmbientOcclusion, Discs, EyeDome, Fog, Light, MaterialSpec, Painting, PullPush, Splats,
+};
 
 use blend::Blended;
 use prepare::Prepared;
@@ -93,6 +97,8 @@ pub struct OracleScene<'a> {
     pub edl: Option<EyeDome>,
     /// Fog that everything is seen through.
     pub fog: Option<Fog>,
+    /// Ambient occlusion; none where splats are painted.
+    pub occlusion: Option<AmbientOcclusion>,
 }
 
 /// One geometry at one place.
@@ -283,6 +289,9 @@ fn foggy(
 fn shaded(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: usize) -> ([f64; 3], f64) {
     let mut surface = surface::at(prepared, view, hit, x, y);
     surface.recolor(prepared.scene.recolor.as_ref(), view, prepared.instance(hit));
+    if !prepared.is_translucent(hit) {
+        surface.open = prepared.ambient_share(&surface);
+    }
     (shade::shade(&surface, prepared, view.eye), surface.alpha)
 }
 

@@ -9,7 +9,7 @@ use crate::math::View;
 use crate::scene::{Light, MaterialSpec};
 
 use super::shadow::Occluders;
-use super::surface::Surface;
+use super::surface::{LitAs, Surface};
 use super::texture::{self, Pyramid};
 use super::visibility::Hit;
 use super::{OracleItem, OracleScene};
@@ -61,8 +61,23 @@ impl<'a> Prepared<'a> {
     /// The share of a light, 0 to 1, that reaches the place of a surface: less than 1 only for suns that cast shadows.
     pub fn sunlight(&self, surface: &Surface, light: &Light) -> f64 {
         match (&self.occluders, *light) {
-            (Some(occluders), Light::Sun { direction, shadows: Some(angle_deg), .. }) => {
+            (Some(occluders), Light::Sun { direction, shadows: Some(angle_deg), .. })
+                if self.scene.shadows =>
+            {
                 occluders.share(self, surface, (direction, angle_deg))
+            }
+            _ => 1.0,
+        }
+    }
+
+    /// The share of ambient light, 0 to 1, that arrives at a surface. Lines that are lit as a whole have all of it.
+    pub fn ambient_share(&self, surface: &Surface) -> f64 {
+        match (&self.occluders, &self.scene.occlusion) {
+            (Some(occluders), Some(occlusion))
+                if self.scene.painted.is_none() && surface.lit_as == LitAs::Solid =>
+            {
+                let open = occluders.openness(self, surface, occlusion.radius);
+                1.0 - occlusion.strength * (1.0 - open)
             }
             _ => 1.0,
         }

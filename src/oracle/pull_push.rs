@@ -500,6 +500,7 @@ impl Steps<'_> {
         surface.turn_to_eye();
         let instance = self.prepared.instance(&patch.source);
         surface.recolor(self.prepared.scene.recolor.as_ref(), self.view, instance);
+        surface.open = self.prepared.ambient_share(&surface);
         let color = shade(&surface, self.prepared, self.view.eye);
         Blended { color, normal_world: surface.normal_world, depth, instance }
     }

@@ -12,20 +12,20 @@ use super::surface::{LitAs, Surface};
 /// `albedo · Σ ambient + Σ color · (albedo · n·l + specular · max(0, r·v)^shininess)` over the lights in front of
 /// the surface (`n·l > 0`), where `r` is `l` mirrored at the normal and `v` points to the eye. Without
 /// lights, without a normal or when the material is unlit, the albedo. Ribbons have `|n·l|` in place of `n·l`, and thin lines the
-/// mean over a cylinder ([`line()`]). The light of a sun that casts shadows counts by the share of its disc that the place sees.
+/// mean over a cylinder ([`line()`]). Ambient light, and the albedo of what is not lit, count by [`Surface::open`]. The light of a sun that casts shadows counts by the share of its disc that the place sees.
 pub fn shade(surface: &Surface, prepared: &Prepared<'_>, eye: DVec3) -> [f64; 3] {
     let lights = prepared.scene.lights;
     let normal = surface.normal_world;
     let is_line = matches!(surface.lit_as, LitAs::Line(_));
     if lights.is_empty() || surface.unlit || (normal == DVec3::ZERO && !is_line) {
-        return surface.albedo;
+        return surface.albedo.map(|channel| channel * surface.open);
     }
     let to_eye = (-surface.way).try_normalize().unwrap_or(DVec3::ZERO);
     let mut sum = [0.0; 3];
     for light in lights {
         let (to_light, color) = match *light {
             Light::Ambient { color } => {
-                add(&mut sum, color, 1.0, |channel| surface.albedo[channel]);
+                add(&mut sum, color, surface.open, |channel| surface.albedo[channel]);
                 continue;
             }
             Light::Headlight { color } => (to_eye, (color, 1.0)),

@@ -99,10 +99,11 @@ struct Cone {
 }
 
 impl Occluders {
-    /// `None` where the scene has no shadows, or no sun that casts any.
+    /// `None` where the scene has neither ambient occlusion nor shadows of a sun.
     pub fn of(prepared: &Prepared<'_>, view: &View) -> Option<Occluders> {
         let scene = prepared.scene;
-        if !(scene.shadows && scene.lights.iter().any(Light::casts_shadows)) {
+        let casts = scene.shadows && scene.lights.iter().any(Light::casts_shadows);
+        if !casts && scene.occlusion.is_none() {
             return None;
         }
         let world_from_view = view.view_from_world.transpose();
@@ -162,18 +163,43 @@ impl Occluders {
             let (sine, cosine) = (f64::from(*ray) * GOLDEN_ANGLE).sin_cos();
             let way = (axis + (right * cosine + up * sine) * out) / 1f64.hypot(out);
             let ray = Cone { apex, axis: way, sine: 0.0, cosine: 1.0 };
-            !root.any(&ray, &mut |occluder| self.hides(prepared, occluder, (apex, way), nearest))
+            !root.any(&ray, &mut |occluder| {
+                self.hides(prepared, occluder, (apex, way), [nearest, f64::INFINITY])
+            })
         };
         (0..rays).filter(is_free).count() as f64 / f64::from(rays)
     }
 
-    /// Whether a ray meets an occluder farther away than `nearest`.
+    /// The share, 0 to 1, of the hemisphere above the place of a surface in which no occluder lies within `radius`, weighted by the cosine of the angle from
+    /// the normal (Zhukov, Iones & Kronin 1998, without a falloff). A surface without a normal is taken to face the eye.
+    pub fn openness(&self, prepared: &Prepared<'_>, surface: &Surface, radius: f64) -> f64 {
+        let facing = || (-surface.way).try_normalize();
+        let normal = surface.normal_world.try_normalize().or_else(facing);
+        let (Some(root), Some(normal)) = (&self.root, normal) else { return 1.0 };
+        let apex = surface.position_from_eye;
+        let nearest = (1e-6 * apex.length() + 1e-9 * self.extent).max(surface.thickness);
+        let (right, up) = normal.any_orthonormal_pair();
+        let is_free = |ray: &u32| {
+            // Points of a disc, each of the same area, projected to the hemisphere above it (Malley 1988).
+            let out_2 = (f64::from(*ray) + 0.5) / f64::from(RAYS);
+            let (sine, cosine) = (f64::from(*ray) * GOLDEN_ANGLE).sin_cos();
+            let way = (right * cosine + up * sine) * out_2.sqrt() + normal * (1.0 - out_2).sqrt();
+            let ray = Cone { apex, axis: way, sine: 0.0, cosine: 1.0 };
+            let hides = &mut |occluder: &Occluder| {
+                self.hides(prepared, occluder, (apex, way), [nearest, radius])
+            };
+            !root.any_within(&ray, radius, hides)
+        };
+        (0..RAYS).filter(is_free).count() as f64 / f64::from(RAYS)
+    }
+
+    /// Whether a ray meets an occluder farther away than `nearest`, and no farther than `farthest`.
     fn hides(
         &self,
         prepared: &Prepared<'_>,
         occluder: &Occluder,
         (origin, way): (DVec3, DVec3),
-        nearest: f64,
+        [nearest, farthest]: [f64; 2],
     ) -> bool {
         let (at, thickness) = match *occluder {
             Occluder::Triangle { corners, source } => {
@@ -211,7 +237,7 @@ impl Occluders {
             let place = self.eye + (origin + way * at);
             prepared.scene.clip.is_none_or(|clip| clip.shows(place))
         };
-        at > nearest.max(thickness) && is_shown()
+        at > nearest.max(thickness) && at <= farthest && is_shown()
     }
 }
 
@@ -332,10 +358,21 @@ impl Ball {
 
     /// Whether any occluder whose ball the cone meets passes the test.
     fn any(&self, cone: &Cone, test: &mut impl FnMut(&Occluder) -> bool) -> bool {
+        self.any_within(cone, f64::INFINITY, test)
+    }
+
+    /// As [`Ball::any`], for balls no farther from the cone's apex than `reach`.
+    fn any_within(
+        &self,
+        cone: &Cone,
+        reach: f64,
+        test: &mut impl FnMut(&Occluder) -> bool,
+    ) -> bool {
         cone.meets(self)
+            && self.centre.distance(cone.apex) - self.radius <= reach
             && match &self.inside {
                 Inside::One(occluder) => test(occluder),
-                Inside::Two(both) => both.iter().any(|ball| ball.any(cone, test)),
+                Inside::Two(both) => both.iter().any(|ball| ball.any_within(cone, reach, test)),
             }
     }
 }

@@ -33,6 +33,8 @@ pub struct Surface {
     pub lit_as: LitAs,
     /// How far along a ray of light other surfaces still count as this one, and cast no shadow on it.
     pub thickness: f64,
+    /// Share of ambient light that arrives.
+    pub open: f64,
 }
 
 /// How a surface reflects light.
@@ -251,6 +253,7 @@ pub fn surface(
         unlit: material.unlit,
         lit_as: LitAs::Solid,
         thickness: 0.0,
+        open: 1.0,
     }
 }
 

@@ -58,6 +58,7 @@ pub fn scene<'a>(items: Vec<OracleItem<'a>>) -> OracleScene<'a> {
         clip: None,
         edl: None,
         fog: None,
+        occlusion: None,
     }
 }
 

@@ -22,6 +22,8 @@ pub struct Scratch {
     /// Colours and normals of surfaces that wait for `write_output`.
     pub colors: buffer::Scratch,
     pub normals: buffer::Scratch,
+    /// How open the surroundings of each pixel are, for ambient light.
+    pub openness: buffer::Scratch,
     /// Sums of blended splats: two words of 32 bits for each pixel in each buffer.
     pub sums: [buffer::Scratch; 4],
     /// Words of splats that are blended in a single pass; see `shared/slabs`.
@@ -142,6 +144,7 @@ impl Scratch {
             pixels: make("pixels"),
             colors: make("colors"),
             normals: make("normals"),
+            openness: make("openness"),
             sums: ["sums_0", "sums_1", "sums_2", "sums_3"].map(make),
             layers: make("layers"),
             paint_list: make("paint_list"),
@@ -224,6 +227,9 @@ impl Scratch {
         if task.plan.runs(Pass::WriteOutput) {
             self.colors.reserve(gpu, pixels * 8);
             self.normals.reserve(gpu, pixels * 4);
+        }
+        if task.plan.runs(Pass::AmbientOcclusion) {
+            self.openness.reserve(gpu, pixels * 4);
         }
         for sums in &mut self.sums[..task.sums()] {
             sums.reserve(gpu, pixels * 8);

@@ -105,6 +105,9 @@ fragments![
     "shared/surface",
     "shared/light",
     "shared/edl",
+    "shared/kept_places",
+    "shared/openness_all",
+    "shared/openness_near",
     "shared/fog",
     "shared/finish_written",
     "shared/finish_kept",
@@ -266,6 +269,8 @@ pub struct Choices {
     pub lit: bool,
     /// `SHADOWS`: lights cast shadows.
     pub shadows: bool,
+    /// `OPENNESS`: surfaces hide ambient light from each other.
+    pub occlusion: bool,
     /// `ENTRIES`, `LIST`, `MEMBERS`: the frame lists its own entries, from point trees.
     pub trees: bool,
     /// `NODES`: samples are nodes of point trees.
@@ -291,6 +296,7 @@ impl Default for Choices {
             normal_sums: false,
             lit: false,
             shadows: false,
+            occlusion: false,
             trees: false,
             nodes: false,
             fields: false,
@@ -302,7 +308,7 @@ impl Default for Choices {
 }
 
 impl Choices {
-    fn aliases(&self) -> [(&'static str, &'static str); 16] {
+    fn aliases(&self) -> [(&'static str, &'static str); 17] {
         let either = |choice, yes, no| if choice { yes } else { no };
         [
             ("VOTE", either(self.subgroups, "shared/vote_subgroup", "shared/vote_alone")),
@@ -320,6 +326,7 @@ impl Choices {
             ),
             ("LIT", either(self.lit, "shared/lit_splat", "shared/lit_none")),
             ("SHADOWS", either(self.shadows, "shared/shadow_maps", "shared/shadow_none")),
+            ("OPENNESS", either(self.occlusion, "shared/openness_near", "shared/openness_all")),
             ("ENTRIES", either(self.trees, "shared/entries_tree", "shared/entries_full")),
             ("LIST", either(self.trees, "shared/list_tree", "shared/list_full")),
             ("MEMBERS", either(self.trees, "shared/members_listed", "shared/members_all")),

@@ -41,6 +41,8 @@ pub struct SceneFacts {
     pub fog: bool,
     /// That fog becomes thinner with height.
     pub layered_fog: bool,
+    /// It has ambient occlusion.
+    pub occlusion: bool,
     /// Its lines would cover little of an image that shows the whole scene.
     pub sparse_lines: bool,
     /// Its assets are point trees, from which a frame takes the detail that it shows.
@@ -151,6 +153,8 @@ pub struct FrameFacts {
     pub shadows: Shadows,
     /// Fog is wanted where the scene has some.
     pub fog: Effect,
+    /// Ambient occlusion is wanted where the scene has some.
+    pub occlusion: Effect,
     /// Pixels are means of their parts.
     pub is_averaged: bool,
 }
@@ -258,6 +262,19 @@ impl Facts<'_> {
         let blends =
             self.scene.has(GeometryKind::Samples) && frame.reconstruction.weighted().is_some();
         blends && self.scene.translucent && frame.output == Output::Color
+    }
+
+    /// Whether splats leave no depths in the image.
+    fn leaves_no_depths(&self) -> bool {
+        self.scene.has(GeometryKind::Samples)
+            && self.frame.reconstruction.without_depths().is_some()
+    }
+
+    /// Whether the colours of splats are those under all lights before pixels are.
+    fn lights_splats(&self) -> bool {
+        self.scene.has(GeometryKind::Samples)
+            && self.scene.lights > 0
+            && self.frame.reconstruction.shades(Shading::Splat)
     }
 
     /// Whether surfaces are seen through fog.

@@ -90,6 +90,7 @@ const SAMPLES: Rule = Rule::new("samples", &["some"], "");
 const SEGMENTS: Rule = Rule::new("segments", &["some"], "");
 const SHADOWS: Rule = Rule::new("shadows", &["on"], "shadows are off");
 const CASTING: Rule = Rule::new("casting_lights", &["some"], "");
+const OCCLUDED: Rule = Rule::new("scene_occlusion", &["some"], "");
 const FOGGY: Rule = Rule::new("scene_fog", &["some"], "");
 const EDL: Rule = Rule::new("edl", &["on", "auto"], "eye-dome lighting is off");
 const SURELY_SPLATS: Rule = Rule::new("reconstruct", &["splats", "fuzzy", "painted"], "");
@@ -290,6 +291,10 @@ settings! {
     /// frame may have. Smaller pixels of a map give sharper edges.
     shadow_px: ShadowPx => ShadowPx {
         label: "Shadow map", kind: SettingKind::own::<ShadowPx>(), needs: [SHADOWS], useful_with: [COLORS, CASTING], trades: Trade::variant()
+    }
+    /// Whether the scene's ambient occlusion is drawn.
+    ao: Effect => Effect {
+        label: "Ambient occlusion", kind: SettingKind::own::<Effect>(), needs: [], useful_with: [COLORS, OCCLUDED], trades: Trade::variant()
     }
     /// Whether the scene's fog is drawn.
     fog: Effect => Effect {
@@ -529,6 +534,7 @@ impl Settings {
         known.insert("segments".to_owned(), some(scene.counts.segments).into());
         known.insert("lights".to_owned(), some(scene.lights.into()).into());
         known.insert("casting_lights".to_owned(), some(scene.casting_lights.into()).into());
+        known.insert("scene_occlusion".to_owned(), some(scene.occlusion.into()).into());
         known.insert("scene_fog".to_owned(), some(scene.fog.into()).into());
         known.insert("output".to_owned(), serde_json::json!(output));
         let is_open = |rule: &Rule| known.get(rule.of).is_none_or(Value::is_null);

@@ -75,6 +75,7 @@ macro_rules! pass_table {
             ResolveSamples       Compute resolve/resolve_samples       ""    [Resolve]           Frame     [NO_SAMPLES PULLED BLENDED];
             ResolveTriangles     Compute resolve/resolve_triangles     ""    [Resolve]           Frame     [NO_TRIANGLES];
             ResolveLines         Compute resolve/resolve_lines         ""    [Resolve]           Frame     [NO_LINES];
+            AmbientOcclusion     Compute resolve/ambient_occlusion     ""    [Resolve]           Frame     [NOT_COLOR NO_OCCLUSION WITHOUT_OCCLUSION DEPTHLESS LIT_SINGLY];
             WriteOutput          Compute resolve/write_output          ""    [Resolve]           Frame     [NOT_COLOR NO_EFFECT];
             CompositeSplats      Compute resolve/composite_splats      ""    [Resolve]           Frame     [NO_SAMPLES NOT_PAINTED];
             ProjectTrianglesLayers      Compute project/project_triangles   "_layers"    [Layers]   Triangles [OPAQUE_SCENE NOT_COLOR];
@@ -231,10 +232,14 @@ reasons! {
         |f| f.frame.reconstruction.pull_push().is_none();
     BLENDED: "splats are blended", |f| f.scene.has(GeometryKind::Samples) && f.frame.reconstruction.blends();
     NO_EFFECT: "no effect reads neighbouring pixels, and no translucent surface the depths of blended splats",
-        |f| f.frame.edl.is_none() && !f.composites_over_splats();
+        |f| f.frame.edl.is_none() && !f.composites_over_splats() && super::Pass::AmbientOcclusion.skipped(f).is_some();
     NOT_COLOR: "the output is not color", |f| f.frame.output != super::Output::Color;
     NO_CASTER: "no light casts shadows", |f| f.scene.casting_lights == 0;
     WITHOUT_SHADOWS: "shadows are off", |f| f.frame.shadows == super::Shadows::Off;
+    NO_OCCLUSION: "the scene has no ambient occlusion", |f| !f.scene.occlusion;
+    WITHOUT_OCCLUSION: "ambient occlusion is off", |f| f.frame.occlusion == super::Effect::Off;
+    DEPTHLESS: "splats that are drawn so leave no depths for ambient occlusion", |f| f.leaves_no_depths();
+    LIT_SINGLY: "splats are lit one by one, so that their ambient light is mixed with the rest", |f| f.lights_splats();
     NO_FOG: "the scene has no fog", |f| !f.scene.fog;
     WITHOUT_FOG: "fog is off", |f| f.frame.fog == super::Effect::Off;
     EVEN_FOG: "the fog is as dense at every height", |f| !f.scene.layered_fog;

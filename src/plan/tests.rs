@@ -356,3 +356,33 @@ fn fog_of_layers_has_a_background_of_its_own() {
     let clear = SceneFacts { fog: false, ..even };
     assert!(!plan_of(&clear, Output::Color, Effect::On).has_fog);
 }
+
+#[test]
+fn ambient_occlusion_needs_depths_and_ambient_light_of_its_own() {
+    let scene = SceneFacts { counts: SAMPLES, lights: 1, occlusion: true, ..Default::default() };
+    let of = |scene: &SceneFacts, frame: FrameFacts| {
+        let plan = super::plan(scene, &frame, &WIDE);
+        let pass = plan.passes.iter().find(|planned| planned.pass == Pass::AmbientOcclusion);
+        let skipped = pass.unwrap().skipped;
+        assert_eq!(plan.runs(Pass::WriteOutput), skipped.is_none());
+        skipped
+    };
+    let with = |reconstruction| FrameFacts { reconstruction, ..FrameFacts::default() };
+    let splats = Splats::default();
+    assert_eq!(of(&scene, with(Reconstruction::Splats(splats))), None);
+    assert_eq!(of(&scene, with(POINTS)), None);
+    let off = FrameFacts { occlusion: Effect::Off, ..with(POINTS) };
+    assert_eq!(of(&scene, off), Some("ambient occlusion is off"));
+    let depth = FrameFacts { output: Output::Depth, ..with(POINTS) };
+    assert_eq!(of(&scene, depth), Some("the output is not color"));
+    let fuzzy = with(Reconstruction::Fuzzy(splats));
+    assert!(of(&scene, fuzzy).is_some_and(|why| why.contains("no depths")));
+    let singly = with(Reconstruction::Splats(Splats { shading: Shading::Splat, ..splats }));
+    assert!(of(&scene, singly).is_some_and(|why| why.contains("one by one")));
+    let unlit = SceneFacts { lights: 0, ..scene };
+    assert_eq!(of(&unlit, singly), None);
+    let meshes = SceneFacts { counts: TRIANGLES, ..scene };
+    assert_eq!([of(&meshes, fuzzy), of(&meshes, singly)], [None; 2]);
+    let plain = SceneFacts { occlusion: false, ..scene };
+    assert_eq!(of(&plain, with(POINTS)), Some("the scene has no ambient occlusion"));
+}

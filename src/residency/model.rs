@@ -16,7 +16,7 @@ use crate::bake::prepare::AssetTraits;
 use crate::bake::tree::Above;
 use crate::math::{Bounds, Camera};
 use crate::memory::Reservation;
-use crate::scene::{Fog, Light, MaterialSpec, Splats};
+use crate::scene::{AmbientOcclusion, Fog, Light, MaterialSpec, Splats};
 
 /// One file's packed contents, shared by the scenes that draw it.
 #[derive(Debug)]
@@ -91,6 +91,7 @@ pub struct SceneModel {
     /// Linear RGB, straight alpha.
     pub background: [f32; 4],
     pub fog: Option<Fog>,
+    pub occlusion: Option<AmbientOcclusion>,
     pub cameras: Vec<(String, Camera)>,
     pub up: DVec3,
     /// How samples are drawn where splats are asked for.

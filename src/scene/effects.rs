@@ -39,3 +39,12 @@ pub struct FogLayer {
     /// Scale height, in scene units.
     pub scale: f64,
 }
+
+/// Ambient occlusion: ambient light does not reach the part of a surface's surroundings that other surfaces fill within a radius.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AmbientOcclusion {
+    /// Distance in scene units within which surfaces hide ambient light.
+    pub radius: f64,
+    /// Share of the hidden light that is taken away, above 0 and up to 1.
+    pub strength: f64,
+}

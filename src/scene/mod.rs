@@ -34,7 +34,7 @@ mod wire;
 pub use assets::{
     AsLines, AssetRef, AssetSource, CsgOperation, FileSource, MeshSampling, Operand, Solid,
 };
-pub use effects::{Discs, EyeDome, Fog, FogLayer};
+pub use effects::{AmbientOcclusion, Discs, EyeDome, Fog, FogLayer};
 pub use instance_path::{InstancePath, InstancePaths, PathStep};
 pub use load::{load, load_path, load_within, parse, parse_path};
 pub use path::{CameraPath, Ease, Interpolation, PathKey, PathSampler};
@@ -64,6 +64,7 @@ pub struct Scene {
     /// Linear RGB and alpha of pixels that nothing covers.
     pub background: [f32; 4],
     pub fog: Option<Fog>,
+    pub occlusion: Option<AmbientOcclusion>,
     pub cameras: Vec<(String, Camera)>,
     pub paths: Vec<(String, CameraPath)>,
     /// World up, used where a request names none. `+y` unless the scene says otherwise.

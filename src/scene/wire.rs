@@ -69,6 +69,9 @@ pub(super) struct SceneFile {
     /// Fog that surfaces are seen through, and an opaque background with them.
     #[serde(default)]
     pub fog: Option<Object<FogWire>>,
+    /// Darkens ambient light where other surfaces are near.
+    #[serde(default)]
+    pub ambient_occlusion: Option<Object<OcclusionWire>>,
     /// Poses by name.
     #[serde(default)]
     #[schemars(with = "BTreeMap<String, CameraWire>")]
@@ -330,6 +333,16 @@ pub(super) struct FogWire {
     /// Height at which fog with a `scale_height` has its density, 0 when absent.
     #[serde(default)]
     pub base_height: Option<f64>,
+}
+
+#[derive(Debug, serde::Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct OcclusionWire {
+    /// Distance in scene units within which surfaces hide ambient light from each other.
+    pub radius: f64,
+    /// Share of the hidden ambient light that is taken away, 0 to 1; 1 when absent.
+    #[serde(default)]
+    pub strength: Option<f64>,
 }
 
 #[derive(Debug, serde::Deserialize, JsonSchema)]

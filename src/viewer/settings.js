@@ -55,7 +55,7 @@ const fieldNames = () => (scene?.fields ?? []).map(field => field.name);
 
 // The facts that rules are checked against: settings and scene. Unknown facts are missing.
 function facts() {
-  const found = { output: $('output').value, lights: scene?.lights > 0 ? 'some' : 'none', casting_lights: scene?.casting_lights > 0 ? 'some' : 'none', scene_fog: scene?.fog ? 'some' : 'none', fields: fieldNames() };
+  const found = { output: $('output').value, lights: scene?.lights > 0 ? 'some' : 'none', casting_lights: scene?.casting_lights > 0 ? 'some' : 'none', scene_fog: scene?.fog ? 'some' : 'none', scene_occlusion: scene?.occlusion ? 'some' : 'none', fields: fieldNames() };
   for (const { name } of declared) found[name] = $(name).value || drawn[name];
   // With a level of detail, meshes have samples.
   found.samples = scene && (scene.samples || found.lod === 'spt') ? 'some' : 'none';

@@ -94,6 +94,7 @@ fn load(studio: &Studio) {
                   "repeat": { "grid": [8, 2, 8], "step": [2, 2, 2] } },
             ],
             "splats": { "lowpass": 3, "cutoff": 2.5, "width": 2 },
+            "ambient_occlusion": { "radius": 0.5 },
         }),
     );
 }

@@ -104,6 +104,8 @@ fn textured(uid: u64, texels: &[u32], materials: usize) -> Arc<SceneModel> {
         fog: None,
         lights: Vec::new(),
         background: [0.0; 4],
+        fog: None,
+        occlusion: None,
         cameras: Vec::new(),
         up: glam::DVec3::Y,
         splats: Default::default(),

@@ -23,6 +23,7 @@ mod instances;
 mod lights;
 mod lines;
 mod materials;
+mod occlusion;
 mod orthographic;
 mod painted;
 mod point_size;

@@ -35,7 +35,14 @@ static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
             let text = std::fs::read_to_string(&file).unwrap();
             let name = file.file_name().unwrap().to_str().unwrap();
             // The oracle's rays to a sun would take minutes; `shadows` has scenes of its own.
-            std::fs::write(folder.join(name), text.replace(r#", "shadows": true"#, "")).unwrap();
+            // So would its rays for ambient occlusion, which `occlusion` has scenes for.
+            let plain: String = text
+                .replace(r#", "shadows": true"#, "")
+                .lines()
+                .filter(|line| !line.contains("ambient_occlusion"))
+                .flat_map(|line| [line, "\n"])
+                .collect();
+            std::fs::write(folder.join(name), plain).unwrap();
             std::fs::write(folder.join(format!("{AS_SHIPPED}{name}")), text).unwrap();
         } else if file.is_file() {
             let to = folder.join(file.file_name().unwrap());
@@ -47,7 +54,7 @@ static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
     folder
 });
 
-/// Begins the names of scene files in the folder that are as they are committed; the others have no shadows.
+/// Begins the names of scene files in the folder that are as they are committed; the others have neither shadows nor ambient occlusion.
 const AS_SHIPPED: &str = "shipped-";
 
 fn engine(force_32_bit: bool, rasterise: bool) -> Engine {
@@ -156,7 +163,7 @@ impl Case {
         Self::committed(&format!("{AS_SHIPPED}{name}"))
     }
 
-    /// Loads a committed scene, without shadows.
+    /// Loads a committed scene, without shadows and ambient occlusion.
     pub fn committed(name: &str) -> Case {
         static LOADED: AtomicU32 = AtomicU32::new(0);
         let number = LOADED.fetch_add(1, Ordering::Relaxed);

@@ -15,6 +15,7 @@ fn drawing_of(counts: Counts, settings: &Settings) -> Drawing {
         lights: 1,
         casting_lights: 1,
         fog: true,
+        occlusion: true,
         trees: true,
         ..Default::default()
     };

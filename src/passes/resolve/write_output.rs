@@ -8,11 +8,19 @@ use crate::passes::shaders::Choices;
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let mut constants = output_constants(recorder);
     constants.extend(recolor_constants(recorder));
+    let occlusion = recorder.task.occlusion.is_some();
+    if occlusion {
+        constants.push(("OCCLUSION", 1));
+    }
     if recorder.task.edl.is_none() {
         constants.push(("EDL", 0));
     }
     recorder.compute(Call {
-        choices: Choices { shadows: recorder.task.shadows.is_some(), ..Choices::default() },
+        choices: Choices {
+            shadows: recorder.task.shadows.is_some(),
+            occlusion,
+            ..Choices::default()
+        },
         constants,
         segments: &[None],
         launch: tiles(recorder),

@@ -40,8 +40,14 @@ fn other_value(setting: &Setting) -> Given {
 #[test]
 fn every_setting_has_a_say_in_the_canonical_form() {
     let counts = Counts { samples: 1, segments: 1, ..Counts::default() };
-    let scene =
-        SceneFacts { counts, lights: 1, casting_lights: 1, fog: true, ..SceneFacts::default() };
+    let scene = SceneFacts {
+        counts,
+        lights: 1,
+        casting_lights: 1,
+        fog: true,
+        occlusion: true,
+        ..SceneFacts::default()
+    };
     for setting in declared() {
         let other = other_value(setting);
         let mut without = other;
@@ -80,6 +86,7 @@ fn declarations_are_complete() {
                     "lights",
                     "casting_lights",
                     "scene_fog",
+                    "scene_occlusion",
                     "fields",
                 ]
                 .contains(&rule.of);

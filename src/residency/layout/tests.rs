@@ -146,6 +146,7 @@ fn records_match_the_shaders() {
                 field_count,
                 line_radius,
                 paint_capacity,
+                occlusion,
                 fog,
                 fog_up,
                 clips,

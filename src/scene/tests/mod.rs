@@ -243,6 +243,10 @@ fn refusals_beyond_nodes() {
     top(&fog(r#", "density": 1, "scale_height": 0"#), "fog.scale_height", "0 lies outside");
     top(&fog(r#", "density": 1, "base_height": 2"#), "fog.base_height", "`scale_height`");
     top(r#""fog": {"color": "red", "density": 1}"#, "fog.color", "#rrggbb");
+    let occlusion = |rest: &str| format!(r#""ambient_occlusion": {{{rest}}}"#);
+    top(&occlusion(""), "ambient_occlusion", "missing field `radius`");
+    top(&occlusion(r#""radius": 0"#), "ambient_occlusion.radius", "0 lies outside");
+    top(&occlusion(r#""radius": 1, "strength": 2"#), "ambient_occlusion.strength", "outside 0..=1");
     top(r#""lights": [{"kind": "sun"}]"#, "lights[0]", "needs `direction`");
     top(
         r#""lights": [{"kind": "sum", "direction": [0,0,1]}]"#,

@@ -1,10 +1,10 @@
-//! What lies between surfaces and the eye.
+//! Effects that a scene asks for: fog and ambient occlusion.
 
 use glam::DVec3;
 
 use super::super::color::to_linear;
-use super::super::wire::FogWire;
-use super::super::{Fog, FogLayer};
+use super::super::wire::{FogWire, OcclusionWire};
+use super::super::{AmbientOcclusion, Fog, FogLayer};
 use super::look::{color, rgb};
 use super::{LARGEST_COORDINATE, Place, Valid, within};
 
@@ -12,6 +12,7 @@ const LARGEST_DENSITY: f64 = 1e9;
 /// Thinner fog is invisible at any coordinate; with a base far above, the shaders' exponents could not hold it.
 const SMALLEST_DENSITY: f64 = 1e-12;
 const SMALLEST_SCALE_HEIGHT: f64 = 1e-6;
+const SMALLEST_RADIUS: f64 = 1e-9;
 
 /// The fog of a scene; `None` where its density is 0.
 pub(super) fn fog(wire: &FogWire, up: DVec3) -> Valid<Option<Fog>> {
@@ -37,4 +38,13 @@ pub(super) fn fog(wire: &FogWire, up: DVec3) -> Valid<Option<Fog>> {
         None => None,
     };
     Ok((density > 0.0).then_some(Fog { color, density, layer }))
+}
+
+/// The ambient occlusion of a scene; `None` where its strength is 0.
+pub(super) fn ambient_occlusion(wire: &OcclusionWire) -> Valid<Option<AmbientOcclusion>> {
+    let root = Place::Root;
+    let place = root.key("ambient_occlusion");
+    let radius = within(wire.radius, SMALLEST_RADIUS, LARGEST_COORDINATE, place.key("radius"))?;
+    let strength = within(wire.strength.unwrap_or(1.0), 0.0, 1.0, place.key("strength"))?;
+    Ok((strength > 0.0).then_some(AmbientOcclusion { radius, strength }))
 }

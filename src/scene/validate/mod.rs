@@ -135,6 +135,12 @@ pub(super) fn scene(
         lights: look::lights(wire.lights.as_deref())?,
         background: look::background(wire.background.as_ref())?,
         fog: wire.fog.as_deref().map(|fog| effects::fog(fog, up)).transpose()?.flatten(),
+        occlusion: wire
+            .ambient_occlusion
+            .as_deref()
+            .map(effects::ambient_occlusion)
+            .transpose()?
+            .flatten(),
         cameras: each(&wire.cameras, "cameras", |name, wire, place| {
             Ok((name.to_owned(), look::camera(wire, up, place)?))
         })?,
