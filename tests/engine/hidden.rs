@@ -81,6 +81,7 @@ fn load(studio: &Studio) {
                 { "kind": "ambient", "intensity": 0.3 },
                 { "kind": "sun", "direction": [0.2, -1, 0.3], "shadows": true },
             ],
+            "ambient_occlusion": { "radius": 0.5 },
             "fog": { "color": "#a0b0c0", "density": 0.05, "scale_height": 2 },
         }),
     );
@@ -94,7 +95,6 @@ fn load(studio: &Studio) {
                   "repeat": { "grid": [8, 2, 8], "step": [2, 2, 2] } },
             ],
             "splats": { "lowpass": 3, "cutoff": 2.5, "width": 2 },
-            "ambient_occlusion": { "radius": 0.5 },
         }),
     );
 }
