@@ -101,7 +101,6 @@ fn textured(uid: u64, texels: &[u32], materials: usize) -> Arc<SceneModel> {
         assets: vec![Arc::new(asset)],
         instances: Default::default(),
         materials: Vec::new(),
-        fog: None,
         lights: Vec::new(),
         background: [0.0; 4],
         fog: None,
