@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Duration;
 
 use glam::DVec3;
 use pointillist::accuracy::reference::Reference;
@@ -70,6 +71,8 @@ fn engine(force_32_bit: bool, rasterise: bool) -> Engine {
         like_a_gpu,
         small_splat_px: large_px,
         small_triangle_px: large_px,
+        // On a machine that is busy with other work, frames are late and not refused.
+        queue_time: Duration::from_secs(3600),
         ..config
     };
     Engine::start(config).unwrap()
