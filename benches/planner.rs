@@ -25,7 +25,7 @@ use pointillist::bake::cache::BakeCache;
 use pointillist::encode::ImageFormat;
 use pointillist::engine::{Client, Receipt};
 use pointillist::generate::{Kind, Parameters};
-use pointillist::math::{Camera, Lens};
+use pointillist::math::Camera;
 use pointillist::plan::{Extent, Given, Settings};
 use pointillist::scene::random::SplitMix64;
 
@@ -131,11 +131,7 @@ fn main() -> anyhow::Result<()> {
             drawing.engine.learn("scene", found)?;
         }
         let survey = planning.survey(planning.least_size, Vec::new(), Vec::new());
-        let seen = survey.draw(survey.request_at(pointillist::engine::Pose::FIT))?;
-        let seen = &seen.receipt.camera;
-        let [eye, target, up] = [seen.eye, seen.target, seen.up].map(DVec3::from);
-        let lens = Lens::Perspective { fov_deg: seen.fov_deg.unwrap_or(40.0) };
-        let view = Camera { eye, target, up, lens };
+        let view = survey.default_view()?;
         let mut random = SplitMix64::new(2026);
         let (mut own_budgets, mut own_errors) = (Found::default(), Found::default());
         for number in 0..poses {

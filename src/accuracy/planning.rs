@@ -13,7 +13,7 @@ use super::results::{ALL_POSES, Entry, Results, Scope};
 use super::survey::{Event, NamedPose, Purpose, Survey, SurveyError};
 use super::sweep::{Row, rows};
 use crate::engine::{Client, Engine, FrameRequest, Pose, SceneInfo};
-use crate::math::{Camera, Lens};
+use crate::math::Camera;
 use crate::plan::planner::{Measured, MeasuredPose, MeasuredRow, Point};
 use crate::plan::{Extent, Settings};
 
@@ -114,12 +114,7 @@ impl Planning<'_> {
 
     /// The cameras of the scene, and views around it.
     fn poses(&self, info: &SceneInfo) -> Result<Vec<NamedPose>, SurveyError> {
-        let survey = self.survey(self.least_size, Vec::new(), Vec::new());
-        let seen = survey.draw(survey.request_at(Pose::FIT))?.receipt.camera.clone();
-        let lens = Lens::given(seen.fov_deg, seen.ortho_height);
-        let lens = lens.unwrap_or(Lens::Perspective { fov_deg: 40.0 });
-        let [eye, target, up] = [seen.eye, seen.target, seen.up].map(glam::DVec3::from);
-        let view = Camera { eye, target, up, lens };
+        let view = self.survey(self.least_size, Vec::new(), Vec::new()).default_view()?;
         let mut poses = of_cameras(&info.cameras, &[])?;
         let first = poses.len();
         poses.extend(spread(&view, first, POSES - first));

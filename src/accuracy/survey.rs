@@ -161,13 +161,7 @@ impl Survey<'_> {
         first_only: bool,
     ) -> Result<(), SurveyError> {
         self.poses = if info.cameras.is_empty() && names.is_empty() {
-            let seen = self.draw(self.request_at(Pose::FIT))?.receipt.camera.clone();
-            let lens = match (seen.ortho_height, seen.fov_deg) {
-                (Some(height), _) => Lens::Orthographic { height },
-                (None, fov_deg) => Lens::Perspective { fov_deg: fov_deg.unwrap_or(40.0) },
-            };
-            let [eye, target, up] = [seen.eye, seen.target, seen.up].map(glam::DVec3::from);
-            around(&Camera { eye, target, up, lens })
+            around(&self.default_view()?)
         } else {
             of_cameras(&info.cameras, names)?
         };
@@ -175,6 +169,18 @@ impl Survey<'_> {
             self.poses.truncate(1);
         }
         Ok(())
+    }
+
+    /// The camera of the scene's default view.
+    ///
+    /// # Errors
+    /// The engine fails.
+    pub fn default_view(&self) -> Result<Camera, SurveyError> {
+        let seen = self.draw(self.request_at(Pose::FIT))?.receipt.camera.clone();
+        let lens = Lens::given(seen.fov_deg, seen.ortho_height);
+        let lens = lens.unwrap_or(Lens::Perspective { fov_deg: 40.0 });
+        let [eye, target, up] = [seen.eye, seen.target, seen.up].map(glam::DVec3::from);
+        Ok(Camera { eye, target, up, lens })
     }
 
     /// Leaves out the poses from which nothing is seen, and returns their names.
