@@ -75,6 +75,14 @@ fn compositions(root: &str) -> Vec<(String, Choices, Composed)> {
         .collect();
     all = widen(all, "OPENNESS", |choices, side| choices.occlusion = side);
     all = widen(all, "FINISH", |choices, side| choices.kept = side);
+    // Surfaces that are kept may have maps.
+    let maps = |c: Choices| {
+        if asks("KEPT_MAPS") || c.kept { vec![false, true] } else { vec![false] }
+    };
+    all = all
+        .into_iter()
+        .flat_map(|c| maps(c).into_iter().map(move |maps| Choices { maps, ..c }))
+        .collect();
     // Layers are those of triangles.
     if root == "resolve/resolve_triangles" {
         all = widen(all, "WORDS", |choices, side| choices.layers = side);
@@ -145,13 +153,13 @@ fn every_composition_is_valid() {
     // - Splats: depths as for samples, with and without clip lines; sums by clip lines, width, normals, lights and trees; a
     //   single pass by clip lines, lights, trees and scalar fields. Each of these with a thread per splat (all at once or in turns, with and
     //   without votes), or from a list. Painted splats as a single pass, with a thread per splat, and counted with and without trees.
-    // - Passes over pixels: with and without votes; samples with and without trees and scalar fields; outputs written at once or later;
-    //   triangles also layer by layer.
+    // - Passes over pixels: with and without votes; samples with and without trees and scalar fields; outputs written at once or later,
+    //   in the latter case with and without maps; triangles also layer by layer.
     // - Wherever light is computed, with and without shadows. The last pass over surfaces also with and without ambient occlusion, which is a pass over pixels.
     // - Level 0 of pull-push: with and without clip lines, trees and scalar fields.
     // - Lists: of everything, or of trees. Others: no choices.
     let (depths, sums, single) = (12, 96, 24);
-    let over_pixels = 2 * (6 * 2 * 2 + 3 * 2 * 2 + 2 * 2 + 2 * 2) + 2 + 2;
+    let over_pixels = 2 * (6 * 2 * 3 + 3 * 2 * 3 + 2 * 2 + 2 * 2 * 2) + 2 + 2;
     let level_0 = 2 * 2 * 2;
     let lists = 3 * 2;
     let others = 22;

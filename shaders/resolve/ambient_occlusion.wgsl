@@ -78,12 +78,12 @@ fn open_at(at: vec2<u32>, pixel: u32) -> f32 {
         // The slice is the plane of these two directions.
         let across = vec3<f32>(along / frame.focal_px, 0.0);
         let aside = across - to_eye * dot(across, to_eye);
-        let axis = cross(aside, to_eye) / max(length(aside), 1e-30);
-        let projected = normal - axis * dot(normal, axis);
+        // The normal in the slice; one that looks away from the eye, by rounding, counts as square to the direction there.
+        let projected = vec2<f32>(dot(normal, aside) / max(length(aside), 1e-30), max(dot(normal, to_eye), 0.0));
         let size = max(length(projected), 1e-6);
         var slice: Slice;
-        slice.cosine = clamp(dot(projected, to_eye) / size, 0.0, 1.0);
-        slice.tilt = acos(slice.cosine) * select(1.0, -1.0, dot(aside, projected) < 0.0);
+        slice.cosine = min(projected.y / size, 1.0);
+        slice.tilt = acos(slice.cosine) * select(1.0, -1.0, projected.x < 0.0);
         slice.sine = sin(slice.tilt);
         slice.begin = integral(slice, slice.tilt - 0.5 * HALF_TURN);
         slice.whole = slice.cosine + slice.tilt * slice.sine;

@@ -70,11 +70,6 @@ fn line_lights(albedo: vec3<f32>, material: Material, direction: vec3<f32>, plac
     return color;
 }
 
-fn unit_or_zero(v: vec3<f32>) -> vec3<f32> {
-    let size = length_of(v);
-    return select(v / size, vec3<f32>(0.0), size < 1e-37);
-}
-
 fn resolve(column: Column) {
     var surface: Surface;
     surface.slot = slot_of(column.word);
@@ -126,16 +121,16 @@ fn resolve(column: Column) {
     let color = material.base_color.rgb * mix(color_a, color_b, share);
     // Lines have no scalar fields to show.
     surface.color = select(color, linear_color(GREY), COLOR_BY == BY_FIELD);
-    if SHADED && !is_round && (material.flags & MATERIAL_UNLIT) == 0u {
-        let direction = select(tangent, surface.normal, RIBBONS);
-        let albedo = recoloured(surface, column.at);
-        if !RIBBONS || any(direction != vec3<f32>(0.0)) {
-            surface.color = line_lights(albedo, material, direction, place_of(surface, column.at));
-            finish_lit(column.pixel, column.at, surface);
-            return;
-        }
+    if is_round {
+        finish(column.pixel, column.at, surface);
+        return;
     }
-    finish(column.pixel, column.at, surface);
+    surface.color = recoloured(surface, column.at);
+    let direction = select(tangent, surface.normal, RIBBONS);
+    if SHADED && (material.flags & MATERIAL_UNLIT) == 0u && (!RIBBONS || any(direction != vec3<f32>(0.0))) {
+        surface.color = line_lights(surface.color, material, direction, place_of(surface, column.at)) + emitted(material);
+    }
+    finish_lit(column.pixel, column.at, surface);
 }
 
 @compute @workgroup_size(64)

@@ -21,6 +21,7 @@ struct Shown {
     normals: NormalMap,
     material: Material,
     id: u32,
+    mirrored: bool,
 }
 
 // One triangle: positions as interpolation needs them, and the first corner's attributes with the differences of the others.
@@ -30,6 +31,24 @@ struct Corners {
     // In world space, up to length.
     normal: array<vec3<f32>, 3>,
     uv: array<vec2<f32>, 3>,
+    // Where materials have maps, in world space and up to length: the directions in which u and v grow, zero where the texture coordinates
+    // tell none.
+    along_u: vec3<f32>,
+    along_v: vec3<f32>,
+    // The triangle's front is seen: counter-clockwise as the file has it.
+    shows_front: bool,
+}
+
+// Where a pixel is on textures.
+struct Footprint {
+    uv: vec2<f32>,
+    dx: vec2<f32>,
+    dy: vec2<f32>,
+}
+
+// Some map says how the surface is turned.
+fn needs_maps() -> bool {
+    return MAPS && (needs_color() || needs_normal());
 }
 
 fn shown_slot(slot: u32) -> Shown {
@@ -51,7 +70,10 @@ fn shown_slot(slot: u32) -> Shown {
     if needs_normal() {
         shown.normals = normal_map(instance);
     }
-    if needs_color() {
+    if MAPS {
+        shown.mirrored = instances[instance].mirrored != 0u;
+    }
+    if needs_color() || needs_maps() {
         shown.material = materials[chunks[chunk].material];
         if OVERRIDES {
             shown.material = effective_material(shown.material, instances[instance].material);
@@ -96,24 +118,59 @@ fn shown_corners(shown: Shown, triangle: u32) -> Corners {
         corners.color[1] = corner_color(words.y) - color;
         corners.color[2] = corner_color(words.z) - color;
     }
-    if needs_color() && TEXTURES {
+    if (needs_color() || needs_maps()) && TEXTURES {
         let uv = corner_uv(words.x);
         corners.uv[0] = uv;
         corners.uv[1] = corner_uv(words.y) - uv;
         corners.uv[2] = corner_uv(words.z) - uv;
     }
+    if needs_maps() {
+        let turn = select(-1.0, 1.0, corners.uv[1].x * corners.uv[2].y - corners.uv[2].x * corners.uv[1].y > 0.0);
+        corners.along_u = turn * world_from_camera((b - a) * corners.uv[2].y - (c - a) * corners.uv[1].y);
+        corners.along_v = turn * world_from_camera((c - a) * corners.uv[1].x - (b - a) * corners.uv[2].x);
+        corners.shows_front = (dot(cross(b - a, c - a), towards(a)) < 0.0) != shown.mirrored;
+    }
     return corners;
+}
+
+fn footprint(corners: Corners, w: Weights) -> Footprint {
+    return Footprint(
+        corners.uv[0] + w.b * corners.uv[1] + w.c * corners.uv[2],
+        w.dx.x * corners.uv[1] + w.dx.y * corners.uv[2],
+        w.dy.x * corners.uv[1] + w.dy.y * corners.uv[2],
+    );
+}
+
+// The values of a texture, given as its number plus one; `none` where that is 0.
+fn map_values(number: u32, at: Footprint, none: vec3<f32>) -> vec3<f32> {
+    if number == 0u {
+        return none;
+    }
+    return sample_texture(textures[number - 1u], at.uv, at.dx, at.dy).rgb;
+}
+
+// The normal that a map gives a surface whose own one, turned to the eye, is `n`. Green points along decreasing v.
+fn mapped_normal(n: vec3<f32>, corners: Corners, material: Material, at: Footprint) -> vec3<f32> {
+    if material.normal_map == 0u {
+        return n;
+    }
+    let side = select(-1.0, 1.0, corners.shows_front);
+    let front = n * side;
+    let tangent = unit_or_zero(corners.along_u - front * dot(front, corners.along_u));
+    let across = cross(front, tangent);
+    let bitangent = select(across, -across, dot(across, corners.along_v) > 0.0);
+    let texel = 2.0 * map_values(material.normal_map, at, vec3<f32>(0.5)) - vec3<f32>(1.0);
+    let scaled = vec3<f32>(texel.xy * material.normal_scale, texel.z);
+    let mapped = unit_or_zero(tangent * scaled.x + bitangent * scaled.y + front * scaled.z) * side;
+    let is_known = any(tangent != vec3<f32>(0.0)) && any(mapped != vec3<f32>(0.0));
+    return select(n, mapped, is_known);
 }
 
 fn surface_color(corners: Corners, material: Material, w: Weights) -> vec4<f32> {
     var color = material.base_color * (corners.color[0] + w.b * corners.color[1] + w.c * corners.color[2]);
     if TEXTURES && material.texture != 0u {
-        color *= sample_texture(
-            textures[material.texture - 1u],
-            corners.uv[0] + w.b * corners.uv[1] + w.c * corners.uv[2],
-            w.dx.x * corners.uv[1] + w.dx.y * corners.uv[2],
-            w.dy.x * corners.uv[1] + w.dy.y * corners.uv[2],
-        );
+        let at = footprint(corners, w);
+        color *= sample_texture(textures[material.texture - 1u], at.uv, at.dx, at.dy);
     }
     return color;
 }
@@ -130,6 +187,15 @@ fn resolve(column: Column, shown: Shown, corners: Corners) {
         if needs_normal() {
             let own = corners.normal[0] + w.b * corners.normal[1] + w.c * corners.normal[2];
             surface.normal = facing_normal(own, world_from_camera(towards(ray)));
+        }
+        if needs_maps() {
+            let material = shown.material;
+            let at = footprint(corners, w);
+            surface.normal = mapped_normal(surface.normal, corners, material, at);
+            let reflection = map_values(material.reflection_map, at, vec3<f32>(1.0));
+            let open = map_values(material.occlusion_map, at, vec3<f32>(1.0)).r;
+            surface.taken = vec3<f32>(1.0) - vec3<f32>(open, reflection.gb);
+            surface.dimmed = vec3<f32>(1.0) - map_values(material.emissive_map, at, vec3<f32>(1.0));
         }
         let color = surface_color(corners, shown.material, w);
         surface.alpha = clamp(color.a, 0.0, 1.0);

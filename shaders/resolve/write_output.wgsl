@@ -12,6 +12,7 @@
 //!include shared/light
 //!include shared/edl
 //!include OPENNESS
+//!include KEPT_MAPS
 //!include shared/recolor
 //!include shared/fog
 // Eye-dome lighting is on.
@@ -39,6 +40,7 @@ fn kept_surface(column: Column) -> Surface {
     surface.inverse_depth = bitcast<f32>(column.word.y);
     surface.depth_scale = 1.0;
     surface.slot = slot_of(column.word);
+    recall_maps(column.pixel, &surface);
     return surface;
 }
 
@@ -64,7 +66,7 @@ fn write_output(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocati
             if !is_lit {
                 surface.color = recoloured(surface, column.at);
             }
-            if OCCLUSION {
+            if OCCLUSION && !is_lit {
                 ambient_share = open_share(column.at, column.pixel);
             }
             if SHADED && !is_lit {

@@ -27,14 +27,23 @@ fn lit_color(surface: Surface, at: vec2<u32>) -> vec3<f32> {
     if OVERRIDES {
         material = effective_material(material, instances[slots[frame.first_slot + surface.slot].instance].material);
     }
+    if (material.flags & MATERIAL_UNLIT) != 0u {
+        return unlit_color(surface.color);
+    }
+    if MAPS {
+        mapped_share = 1.0 - material.occlusion_strength * surface.taken.x;
+        material.roughness *= 1.0 - surface.taken.y;
+        material.metallic *= 1.0 - surface.taken.z;
+        material.emissive *= vec3<f32>(1.0) - surface.dimmed;
+    }
     // Normals are as exact as where a later pass computes light.
     let packed = octahedral_encode(surface.normal);
-    if (material.flags & MATERIAL_UNLIT) != 0u || (packed == NO_NORMAL && !surface.is_ball) {
-        return unlit_color(surface.color);
+    if packed == NO_NORMAL && !surface.is_ball {
+        return unlit_color(surface.color) + emitted(material);
     }
     let place = place_of(surface, at);
     if surface.is_ball {
-        return ball_lights(surface.color, material, place);
+        return ball_lights(surface.color, material, place) + emitted(material);
     }
-    return all_lights(surface.color, material, octahedral_decode(packed), place);
+    return all_lights(surface.color, material, octahedral_decode(packed), place) + emitted(material);
 }

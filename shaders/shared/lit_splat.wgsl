@@ -5,7 +5,7 @@ const LIT: bool = true;
 fn lit(color: vec3<f32>, normal: vec3<f32>, ball: bool, over_plus_one: u32, slot: SplatSlot, sample: u32) -> vec3<f32> {
     var material: Material;
     if MATERIALS {
-        material = materials[0];
+        material = materials[chunks[slots[frame.first_slot + slot.index].chunk].material];
     }
     if OVERRIDES {
         material = effective_material(material, over_plus_one);
@@ -15,7 +15,7 @@ fn lit(color: vec3<f32>, normal: vec3<f32>, ball: bool, over_plus_one: u32, slot
     }
     let place = from_origin(camera_place(splat_centre(slot, sample)));
     if ball {
-        return clamp(ball_lights(color, material, place), vec3<f32>(0.0), vec3<f32>(1.0));
+        return clamp(ball_lights(color, material, place) + emitted(material), vec3<f32>(0.0), vec3<f32>(1.0));
     }
-    return clamp(all_lights(color, material, normal, place), vec3<f32>(0.0), vec3<f32>(1.0));
+    return clamp(all_lights(color, material, normal, place) + emitted(material), vec3<f32>(0.0), vec3<f32>(1.0));
 }

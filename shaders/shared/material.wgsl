@@ -10,17 +10,39 @@ struct Material {
     flags: u32,
     alpha_cutoff: f32,
     overrides: u32,
+    // Of the metallic-roughness model: reflectance at normal incidence where the surface is no metal.
+    dielectric: vec3<f32>,
+    metallic: f32,
+    // Linear RGB of light that the surface gives off.
+    emissive: vec3<f32>,
+    roughness: f32,
+    // Textures plus one, or 0.
+    reflection_map: u32,
+    normal_map: u32,
+    occlusion_map: u32,
+    emissive_map: u32,
+    normal_scale: f32,
+    occlusion_strength: f32,
+    unused: vec2<u32>,
 }
+
+// Some material has maps beside that of its colour.
+override MAPS: bool = true;
 
 const MATERIAL_DOUBLE_SIDED: u32 = 1u;
 const MATERIAL_UNLIT: u32 = 2u;
 const MATERIAL_ALPHA_TEST: u32 = 4u;
+// Surfaces reflect as the metallic-roughness model has it, and not as Phong's.
+const MATERIAL_PHYSICAL: u32 = 8u;
 
 const OVERRIDE_BASE_COLOR: u32 = 1u;
 const OVERRIDE_SPECULAR: u32 = 2u;
 const OVERRIDE_SHININESS: u32 = 4u;
 const OVERRIDE_UNLIT: u32 = 8u;
 const OVERRIDE_DOUBLE_SIDED: u32 = 16u;
+const OVERRIDE_METALLIC: u32 = 32u;
+const OVERRIDE_ROUGHNESS: u32 = 64u;
+const OVERRIDE_EMISSIVE: u32 = 128u;
 
 fn effective_material(own: Material, over_plus_one: u32) -> Material {
     if over_plus_one == 0u {
@@ -36,6 +58,21 @@ fn effective_material(own: Material, over_plus_one: u32) -> Material {
     }
     if (over.overrides & OVERRIDE_SHININESS) != 0u {
         m.shininess = over.shininess;
+    }
+    if (over.overrides & (OVERRIDE_SPECULAR | OVERRIDE_SHININESS)) != 0u {
+        m.flags &= ~MATERIAL_PHYSICAL;
+    }
+    if (over.overrides & (OVERRIDE_METALLIC | OVERRIDE_ROUGHNESS)) != 0u {
+        m.flags |= MATERIAL_PHYSICAL;
+    }
+    if (over.overrides & OVERRIDE_METALLIC) != 0u {
+        m.metallic = over.metallic;
+    }
+    if (over.overrides & OVERRIDE_ROUGHNESS) != 0u {
+        m.roughness = over.roughness;
+    }
+    if (over.overrides & OVERRIDE_EMISSIVE) != 0u {
+        m.emissive = over.emissive;
     }
     if (over.overrides & OVERRIDE_UNLIT) != 0u {
         m.flags = (m.flags & ~MATERIAL_UNLIT) | (over.flags & MATERIAL_UNLIT);

@@ -16,14 +16,19 @@ fn turned(map: NormalMap, local: vec3<f32>) -> vec3<f32> {
     return map.x * local.x + map.y * local.y + map.z * local.z;
 }
 
-// Unit length and turned towards the eye, or zero.
-fn facing_normal(m: vec3<f32>, towards: vec3<f32>) -> vec3<f32> {
-    let a = abs(m);
+// Unit length, or zero.
+fn unit_or_zero(v: vec3<f32>) -> vec3<f32> {
+    let a = abs(v);
     let most = max(a.x, max(a.y, a.z));
     if !(most > 0.0) {
         return vec3<f32>(0.0);
     }
-    let scaled = m / most;
-    let n = scaled / length(scaled);
+    let scaled = v / most;
+    return scaled / length(scaled);
+}
+
+// Unit length and turned towards the eye, or zero.
+fn facing_normal(m: vec3<f32>, towards: vec3<f32>) -> vec3<f32> {
+    let n = unit_or_zero(m);
     return select(n, -n, dot(n, towards) > 0.0);
 }

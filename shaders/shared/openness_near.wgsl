@@ -15,12 +15,13 @@ fn open_share(at: vec2<u32>, pixel: u32) -> f32 {
         let neighbour = own + vec2<i32>(i & 3, i >> 2u) - vec2<i32>(2);
         let seen = kept_place(neighbour);
         var weight = seen.w * max(1.0 - abs(dot(seen.xyz - place, normal)) / (SAME_SURFACE * frame.occlusion.x), 0.0);
+        // Whatever rounding does to its place.
+        weight = select(weight, 1.0, all(neighbour == own));
         var open = 0.0;
         if weight > 0.0 {
             open = openness[frame.first_pixel + u32(neighbour.y) * frame.size_px.x + u32(neighbour.x)];
         }
         sum += vec2<f32>(open, 1.0) * weight;
     }
-    // The pixel itself is among them.
-    return 1.0 - frame.occlusion.y * (1.0 - sum.x / max(sum.y, 1e-30));
+    return 1.0 - frame.occlusion.y * (1.0 - sum.x / sum.y);
 }

@@ -1,5 +1,6 @@
-// Phong's model over all lights of a scene.
+// Reflection over all lights of a scene: Phong's model, or that of a physical material.
 //!include SHADOWS
+//!include shared/physical
 struct Light {
     // 0 ambient, 1 headlight, 2 sun, 3 point.
     kind: u32,
@@ -31,8 +32,14 @@ override FEW_LIGHTS: u32 = 0u;
 // Surfaces hide ambient light from each other.
 override OCCLUSION: bool = false;
 
-// The share of ambient light that reaches the surface that is being lit.
+// The share of ambient light that reaches the surface that is being lit: what surfaces around it leave, and what its own map says.
 var<private> ambient_share: f32 = 1.0;
+var<private> mapped_share: f32 = 1.0;
+
+// Some material reflects as the metallic-roughness model has it.
+override PHYSICAL: bool = true;
+// Some material gives off light.
+override EMISSIVE: bool = true;
 
 fn light_count() -> u32 {
     if FEW_LIGHTS != 0u {
@@ -65,17 +72,35 @@ fn arriving(light: Light, place: vec3<f32>, to_eye: vec3<f32>) -> vec4<f32> {
 
 // The share of a light that is not kept away as ambient light.
 fn arriving_ambient(light: Light) -> f32 {
+    var share = 1.0;
     if OCCLUSION {
-        return select(1.0, ambient_share, light.kind == 0u);
+        share = ambient_share;
     }
-    return 1.0;
+    if MAPS {
+        share *= mapped_share;
+    }
+    return select(1.0, share, light.kind == 0u);
+}
+
+// Light that a surface gives off.
+fn emitted(material: Material) -> vec3<f32> {
+    if EMISSIVE {
+        return material.emissive;
+    }
+    return vec3<f32>(0.0);
 }
 
 fn phong(light: Light, albedo: vec3<f32>, material: Material, n: vec3<f32>, place: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
     let l = arriving(light, place, to_eye);
     let cosine = select(max(dot(n, l.xyz), 0.0), 1.0, light.kind == 0u);
     var reflected = albedo * cosine;
-    if SPECULAR && light.kind != 0u && cosine > 0.0 {
+    if PHYSICAL && (material.flags & MATERIAL_PHYSICAL) != 0u {
+        if light.kind == 0u {
+            reflected = reflected_ambient(albedo, material, n, to_eye);
+        } else {
+            reflected = reflected_light(albedo, material, n, l.xyz, to_eye);
+        }
+    } else if SPECULAR && light.kind != 0u && cosine > 0.0 {
         let r = 2.0 * cosine * n - l.xyz;
         reflected += material.specular * pow(max(dot(r, to_eye), 0.0), material.shininess);
     }
@@ -108,7 +133,9 @@ fn phong_ball(light: Light, albedo: vec3<f32>, material: Material, place: vec3<f
     let c = clamp(dot(l.xyz, to_eye), -1.0, 1.0);
     let mean = 0.21220659 * (sqrt(1.0 - c * c) + (3.1415927 - acos(c)) * c);
     var reflected = albedo * select(mean, 1.0, light.kind == 0u);
-    if SPECULAR && light.kind != 0u {
+    if PHYSICAL && (material.flags & MATERIAL_PHYSICAL) != 0u {
+        reflected = reflected_by_ball(albedo, material) * select(mean, 1.0, light.kind == 0u);
+    } else if SPECULAR && light.kind != 0u {
         reflected += material.specular * (0.5 / (material.shininess + 1.0));
     }
     return reflected * light.color.rgb * (l.w * reaching(light, mean, place, l.xyz) * arriving_ambient(light));

@@ -17,6 +17,10 @@ struct Surface {
     slot: u32,
     // Id of the instance, where the output shows it.
     id: u32,
+    // Shares that maps take away: of the ambient light, of the material's roughness, and of its metallic value.
+    taken: vec3<f32>,
+    // The same of the light that the surface gives off.
+    dimmed: vec3<f32>,
 }
 
 // Light is computed for each pixel, from its normal.

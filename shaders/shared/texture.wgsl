@@ -1,4 +1,4 @@
-// Textures as sRGB8 words in storage pages, levels one behind the other. Trilinear filtering in linear light.
+// Textures as words of four bytes in storage pages, levels one behind the other. Trilinear filtering, of colours in linear light.
 struct Texture {
     first: u32,
     page: u32,
@@ -8,7 +8,8 @@ struct Texture {
     // Two bits an axis: 0 repeat, 1 mirror, 2 clamp.
     wrap: u32,
     nearest: u32,
-    unused: u32,
+    // Bytes are values as they are, not sRGB.
+    linear: u32,
 }
 
 fn texel_word(page: u32, index: u32) -> u32 {
@@ -34,7 +35,7 @@ fn texel(t: Texture, first: u32, size: vec2<i32>, at: vec2<i32>) -> vec4<f32> {
     let x = wrap_index(t.wrap & 3u, at.x, size.x);
     let y = wrap_index((t.wrap >> 2u) & 3u, at.y, size.y);
     let c = unpack4x8unorm(texel_word(t.page, first + u32(y * size.x + x)));
-    return vec4<f32>(linear_from_srgb(c.rgb), c.a);
+    return vec4<f32>(select(linear_from_srgb(c.rgb), c.rgb, t.linear != 0u), c.a);
 }
 
 // Texture coordinates far outside keep their fraction: the integer part cannot be seen and would cost precision.

@@ -250,7 +250,7 @@ impl Polylines {
     }
 }
 
-/// Surface appearance, for the Phong model.
+/// Surface appearance: Phong's model, or the metallic-roughness model of glTF where [`Material::physical`] is there.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Material {
     pub name: String,
@@ -258,10 +258,20 @@ pub struct Material {
     pub base_color: [f32; 4],
     /// Index into [`Asset::textures`].
     pub base_texture: Option<u32>,
-    /// Linear specular colour.
+    /// Linear specular colour of Phong's model; also that of lines, whatever their material.
     pub specular: [f32; 3],
     /// Phong exponent, ≥ 1.
     pub shininess: f32,
+    /// Metallic-roughness reflection in place of Phong's.
+    pub physical: Option<Physical>,
+    /// Linear RGB of light that the surface gives off under any lights, from 0; the factor of [`Material::emissive_map`].
+    pub emissive: [f32; 3],
+    /// Index into [`Asset::textures`].
+    pub emissive_map: Option<u32>,
+    /// Normals in tangent space, red along increasing u and green along decreasing v.
+    pub normal_map: Option<ScaledMap>,
+    /// Its red channel is the share of ambient light that reaches the surface; the factor says how much of what is missing counts.
+    pub occlusion_map: Option<ScaledMap>,
     /// Drawn from both sides; when false, triangles that face away are culled.
     pub double_sided: bool,
     /// Never shaded, whatever the lights.
@@ -270,6 +280,52 @@ pub struct Material {
     pub alpha_cutoff: Option<f32>,
     /// Surfaces behind it show through, by 1 − alpha.
     pub translucent: bool,
+}
+
+/// Metallic-roughness reflection (glTF 2.0, appendix B).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Physical {
+    /// 0 for dielectrics to 1 for metals.
+    pub metallic: f32,
+    /// Perceptual roughness, 0 to 1: the square root of the α of the GGX distribution.
+    pub roughness: f32,
+    /// Reflectance at normal incidence where the surface is not metallic, linear RGB.
+    pub dielectric: [f32; 3],
+    /// Index into [`Asset::textures`]; green is a factor of the roughness, blue of the metallic value.
+    pub map: Option<u32>,
+}
+
+/// Reflectance at normal incidence of most dielectrics: that of an index of refraction of 1.5.
+pub const DIELECTRIC: f32 = 0.04;
+
+/// A texture of data, and how much it counts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScaledMap {
+    /// Index into [`Asset::textures`].
+    pub texture: u32,
+    pub factor: f32,
+}
+
+impl Material {
+    /// Whether maps say from place to place how its surface reflects, or what light the surface gives off.
+    pub fn varies(&self) -> bool {
+        let reflects = self.physical.is_some_and(|own| own.map.is_some());
+        reflects || (self.emissive_map.is_some() && self.emissive != [0.0; 3])
+    }
+
+    /// Whether a surface of its colour looks otherwise under another material: it is a metal, gives off light or is not lit.
+    pub fn differs(&self) -> bool {
+        let is_metal = self.physical.is_some_and(|own| own.metallic > 0.0);
+        is_metal || self.unlit || self.emissive != [0.0; 3]
+    }
+
+    /// Whether textures tell more of it than its colour.
+    pub fn has_maps(&self) -> bool {
+        let own = self.physical.is_some_and(|own| own.map.is_some());
+        own || self.emissive_map.is_some()
+            || self.normal_map.is_some()
+            || self.occlusion_map.is_some()
+    }
 }
 
 /// Least alpha of translucent fragments: white with less over black stays black in eight bits.
@@ -283,6 +339,11 @@ impl Default for Material {
             base_texture: None,
             specular: [0.0; 3],
             shininess: 1.0,
+            physical: None,
+            emissive: [0.0; 3],
+            emissive_map: None,
+            normal_map: None,
+            occlusion_map: None,
             double_sided: true,
             unlit: false,
             alpha_cutoff: None,
@@ -297,10 +358,11 @@ pub struct Texture {
     pub name: String,
     pub width: u32,
     pub height: u32,
-    /// `width · height` sRGB texels with straight alpha, row by row from the top.
+    /// `width · height` texels with straight alpha, row by row from the top.
     pub rgba: Vec<[u8; 4]>,
     pub wrap: [Wrap; 2],
     pub filter: Filter,
+    pub encoding: Encoding,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -317,6 +379,16 @@ pub enum Filter {
     #[default]
     Linear,
     Nearest,
+}
+
+/// What the bytes of a texture's red, green and blue stand for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Encoding {
+    /// Colours.
+    #[default]
+    Srgb,
+    /// Values from 0 to 1 as they are.
+    Linear,
 }
 
 /// Bounds on what a reader may take in, and where it reports.

@@ -9,7 +9,7 @@ use std::io::Cursor;
 use image::{ImageReader, Limits};
 
 use super::input::{Folder, read_bounded};
-use super::{Filter, ReadOptions, Texture, Wrap};
+use super::{Encoding, Filter, ReadOptions, Texture, Wrap};
 use crate::memory::Admission;
 
 /// Bytes of a texel while it is decoded: as the file has it, as bytes, and as kept.
@@ -106,6 +106,7 @@ pub(crate) fn decode(
         rgba,
         wrap: [Wrap::default(); 2],
         filter: Filter::default(),
+        encoding: Encoding::default(),
     })
 }
 

@@ -7,6 +7,10 @@
 //! uses the triangle's near end and the sample's own position: there is no seam. Large triangles have one sample, whose disk
 //! covers them, or several if they are needles ([`needles`]). Only small ones are rasterised ([`rasterise`](super::rasterise)), with
 //! about one sample for each triangle of usual size.
+//!
+//! Translucent triangles are drawn at any error, because samples hide what is behind them. So are those whose reflection or light varies by a
+//! map ([`Material::varies`]): a sample has a colour and a normal, and the rest of its material with all others. Where a mesh has several
+//! materials, its samples have none, and triangles are kept that would look otherwise ([`Material::differs`]).
 
 mod needles;
 
@@ -32,6 +36,8 @@ pub struct HybridMesh {
     pub stands: Vec<Measures>,
     /// The error up to which each triangle is drawn, in mesh units.
     pub sides: Vec<f32>,
+    /// The material of all samples: that of all triangles, if they have one.
+    pub material: Option<u32>,
 }
 
 /// Usual triangles are rasterised with this many samples along their longest side.
@@ -119,8 +125,8 @@ fn longest_side([a, b, c]: [DVec3; 3]) -> f64 {
     (b - a).length().max((c - b).length()).max((a - c).length())
 }
 
-/// Samples a mesh. Its parts refer to `materials`, and the materials to `textures`. Translucent triangles have no samples and are
-/// drawn at any error: samples hide what is behind them.
+/// Samples a mesh. Its parts refer to `materials`, and the materials to `textures`. Triangles that samples
+/// cannot replace have none, and are drawn at any error.
 ///
 /// # Errors
 /// Fails if there would be more samples than `max_samples`.
@@ -130,31 +136,35 @@ pub fn hybrid_mesh(
     textures: &[Texture],
     max_samples: u64,
 ) -> Result<HybridMesh, SampleError> {
-    let mut translucent = vec![false; mesh.triangles.len()];
-    let mut rest = &mut translucent[..];
+    let material = only_material(mesh);
+    let lasts =
+        |own: &Material| own.translucent || own.varies() || (material.is_none() && own.differs());
+    let mut lasting = vec![false; mesh.triangles.len()];
+    let mut rest = &mut lasting[..];
     for part in &mesh.parts {
         let (own, behind) = rest.split_at_mut((part.triangles as usize).min(rest.len()));
         let material = part.material.and_then(|number| materials.get(number as usize));
-        own.fill(material.is_some_and(|material| material.translucent));
+        own.fill(material.is_some_and(lasts));
         rest = behind;
     }
-    let side = |(&triangle, &translucent): (&[u32; 3], &bool)| {
-        let corners = corners(mesh, triangle).filter(|_| !translucent);
+    let side = |(&triangle, &lasting): (&[u32; 3], &bool)| {
+        let corners = corners(mesh, triangle).filter(|_| !lasting);
         corners.map_or(0.0, longest_side)
     };
-    let sides: Vec<f64> = mesh.triangles.iter().zip(&translucent).map(side).collect();
+    let sides: Vec<f64> = mesh.triangles.iter().zip(&lasting).map(side).collect();
     let mut known: Vec<f64> = sides.iter().copied().filter(|side| *side > 0.0).collect();
-    let always = |translucent: &bool| if *translucent { ALWAYS } else { 0.0 };
+    let always = |lasting: &bool| if *lasting { ALWAYS } else { 0.0 };
     if known.is_empty() {
-        let sides = translucent.iter().map(always).collect();
-        return Ok(HybridMesh { samples: PointCloud::default(), stands: Vec::new(), sides });
+        let sides = lasting.iter().map(always).collect();
+        let samples = PointCloud::default();
+        return Ok(HybridMesh { samples, stands: Vec::new(), sides, material });
     }
     let middle = known.len() / 2;
     let (_, &mut usual, _) = known.select_nth_unstable_by(middle, f64::total_cmp);
     let spacing = usual / PER_SIDE;
     let is_large = |side: f64| side > LARGE * spacing;
     let (small, numbers) =
-        part_of(mesh, |triangle| !is_large(sides[triangle]) && !translucent[triangle]);
+        part_of(mesh, |triangle| !is_large(sides[triangle]) && !lasting[triangle]);
     let options = RasteriseOptions { spacing: Some(spacing), max_samples };
     let small_sides: Vec<f64> = numbers.iter().map(|&number| sides[number as usize]).collect();
     let (rasterised, replaced) =
@@ -207,11 +217,21 @@ pub fn hybrid_mesh(
     if count > limit {
         return Err(SampleError::TooMany { count, limit });
     }
-    let drawn = |(&side, translucent): (&f64, &bool)| {
-        if *translucent { ALWAYS } else { stand(side, 0.0).error * ROUNDED }
+    let drawn = |(&side, lasting): (&f64, &bool)| {
+        if *lasting { ALWAYS } else { stand(side, 0.0).error * ROUNDED }
     };
-    let sides = sides.iter().zip(&translucent).map(drawn).collect();
-    Ok(HybridMesh { samples: PointCloud { oriented: true, ..samples }, stands, sides })
+    let sides = sides.iter().zip(&lasting).map(drawn).collect();
+    let samples = PointCloud { oriented: true, ..samples };
+    Ok(HybridMesh { samples, stands, sides, material })
+}
+
+/// The material that all triangles have.
+fn only_material(mesh: &Mesh) -> Option<u32> {
+    let mut parts = mesh.parts.iter().filter(|part| part.triangles > 0);
+    let first = parts.next()?.material?;
+    let covered: usize = mesh.parts.iter().map(|part| part.triangles as usize).sum();
+    let alike = parts.all(|part| part.material == Some(first));
+    (alike && covered >= mesh.triangles.len()).then_some(first)
 }
 
 fn area_of([a, b, c]: [DVec3; 3]) -> f64 {

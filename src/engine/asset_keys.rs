@@ -9,7 +9,9 @@ use sha2::{Digest, Sha256};
 
 use super::EngineError;
 use super::error::asset_error;
-use crate::assets::{AssetError, Material, ReadOptions, stands_alone};
+use crate::assets::{
+    AssetError, Encoding, Material, Physical, ReadOptions, ScaledMap, stands_alone,
+};
 use crate::bake::external::{SpillFile, Spilled};
 use crate::bake::pack::{GeometryKind, Grid, NodeRange, PackedAsset, PackedChunk, PackedTexture};
 use crate::bake::tree::BAKING_VERSION;
@@ -178,8 +180,10 @@ pub fn digest_packed(hasher: &mut Sha256, packed: &PackedAsset) {
         digest_material(hasher, material);
     }
     for texture in textures {
-        let PackedTexture { width, height, levels, wrap, nearest, texels } = texture;
-        words(hasher, &[*width, *height, *levels, *wrap, u32::from(*nearest)]);
+        let PackedTexture { width, height, levels, wrap, nearest, encoding, texels } = texture;
+        let linear = *encoding == Encoding::Linear;
+        let read = [*nearest, linear].map(u32::from);
+        words(hasher, &[&[*width, *height, *levels, *wrap], &read[..]].concat());
         words(hasher, texels);
     }
 }
@@ -243,6 +247,11 @@ fn digest_material(hasher: &mut Sha256, material: &Material) {
         base_texture,
         specular,
         shininess,
+        physical,
+        emissive,
+        emissive_map,
+        normal_map,
+        occlusion_map,
         double_sided,
         unlit,
         alpha_cutoff,
@@ -256,6 +265,20 @@ fn digest_material(hasher: &mut Sha256, material: &Material) {
     words(hasher, alpha_cutoff.map(f32::to_bits).as_slice());
     let flags = [*double_sided, *unlit, *translucent].map(u32::from);
     words(hasher, &[&[shininess.to_bits()], &flags[..]].concat());
+    // Each is preceded by whether it is there, so that none is taken for another.
+    let mut optional = |own: Option<&[u32]>| {
+        hasher.update([u8::from(own.is_some())]);
+        words(hasher, own.unwrap_or_default());
+    };
+    let scaled = |map: &ScaledMap| [map.texture, map.factor.to_bits()];
+    optional(normal_map.as_ref().map(scaled).as_ref().map(|own| &own[..]));
+    optional(occlusion_map.as_ref().map(scaled).as_ref().map(|own| &own[..]));
+    optional(emissive_map.as_ref().map(std::slice::from_ref));
+    optional(Some(&emissive.map(f32::to_bits)));
+    if let Some(Physical { metallic, roughness, dielectric: [r, g, b], map }) = *physical {
+        optional(Some(&[metallic, roughness, r, g, b].map(f32::to_bits)));
+        optional(map.as_ref().map(std::slice::from_ref));
+    }
 }
 
 #[cfg(test)]

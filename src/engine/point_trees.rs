@@ -168,7 +168,10 @@ fn hybrid(
             };
             let closed = !mesh.parts.iter().any(cut) && is_watertight(&mesh);
             let stands = Some(&hybrid.stands[..]);
-            let tree = build_tree_within(&hybrid.samples, stands, bounds, closed)?;
+            let mut tree = build_tree_within(&hybrid.samples, stands, bounds, closed)?;
+            for chunk in &mut tree.chunks {
+                chunk.material = hybrid.material.map_or(0, |material| material + 1);
+            }
             let triangles = pack_hybrid(&mesh, &asset.packed.materials, tree.grid, &hybrid.sides)?;
             Ok((tree, triangles))
         }

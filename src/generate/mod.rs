@@ -9,6 +9,7 @@ pub mod glasshouse;
 mod hard;
 mod isosurface;
 pub mod lines;
+pub mod materials;
 pub mod numeric;
 pub mod part;
 pub mod plain;
@@ -52,6 +53,8 @@ pub enum Kind {
     Grove,
     /// Scene of a greenhouse: translucent panes, plants behind them, and balls of glass
     Glasshouse,
+    /// Scene of balls of plastic, metal, varnish and embers, and of a lantern with maps
+    Materials,
     /// Neurons with tapering branches: lines with radii, colours and types
     Neurons,
     /// Streamlines in bundles, as of a brain's white matter: lines
@@ -77,7 +80,7 @@ impl Kind {
             Kind::Town | Kind::Statue | Kind::Checkerboard | Kind::CsgPart => &["points", "size"],
             Kind::Relief | Kind::Textured | Kind::Sphere => &["triangles", "size"],
             Kind::Plaza | Kind::Cube | Kind::Glasshouse => &["size"],
-            Kind::Hard => &[],
+            Kind::Hard | Kind::Materials => &[],
             Kind::Tree | Kind::Grove => &["triangles", "size", "count", "form"],
             Kind::Neurons | Kind::Tracts => &["count", "size"],
         }
@@ -138,6 +141,15 @@ pub struct GeneratedMesh {
     pub mesh: Mesh,
     pub material: Option<Material>,
     pub texture: Option<Texture>,
+    pub maps: Vec<GeneratedMap>,
+}
+
+/// A map of a material beside that of its colour.
+#[derive(Clone, Debug)]
+pub struct GeneratedMap {
+    /// MTL's statement.
+    pub statement: &'static str,
+    pub texture: Texture,
 }
 
 /// The text of a scene file, and the assets that it names by file name.
@@ -211,6 +223,7 @@ pub fn generate(
         Kind::Tree => tree(parameters, progress)?,
         Kind::Grove => Generated::Scene(grove("grove", parameters, progress)?),
         Kind::Glasshouse => Generated::Scene(greenhouse("glasshouse", parameters)?),
+        Kind::Materials => Generated::Scene(materials::materials("materials")),
         Kind::Neurons => {
             let count = within("count", count, 20, 1, 1_000_000)? as usize;
             Generated::Lines(lines::neurons(count, length(1000.0)?, seed, progress))
@@ -254,6 +267,9 @@ pub fn generate_scene(
     }
     if kind == Kind::Glasshouse {
         return greenhouse(name, parameters);
+    }
+    if kind == Kind::Materials {
+        return Ok(materials::materials(name));
     }
     if kind == Kind::CsgPart {
         return machined_part(name, parameters);

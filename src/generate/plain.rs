@@ -96,7 +96,7 @@ impl Faces {
     pub fn finish(mut self, material: Option<Material>) -> GeneratedMesh {
         self.mesh.normals = Some(self.normals);
         self.mesh.colors = Some(self.colors);
-        GeneratedMesh { mesh: self.mesh, material, texture: None }
+        GeneratedMesh { mesh: self.mesh, material, ..GeneratedMesh::default() }
     }
 }
 

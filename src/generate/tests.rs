@@ -9,7 +9,7 @@ const PLAIN: Parameters =
     Parameters { seed: 1, points: None, triangles: None, size: None, count: None, form: None };
 
 /// The committed scenes and their parameters.
-const COMMITTED: [(Kind, &str, Parameters); 7] = [
+const COMMITTED: [(Kind, &str, Parameters); 8] = [
     (Kind::Town, "town", Parameters { points: Some(165_000), size: Some(64.0), ..PLAIN }),
     (Kind::Relief, "relief", Parameters { triangles: Some(36_000), ..PLAIN }),
     (Kind::Textured, "textured", Parameters { triangles: Some(8_000), ..PLAIN }),
@@ -17,6 +17,7 @@ const COMMITTED: [(Kind, &str, Parameters); 7] = [
     (Kind::Plaza, "plaza", PLAIN),
     (Kind::Neurons, "neurons", Parameters { count: Some(4), ..PLAIN }),
     (Kind::Glasshouse, "glasshouse", PLAIN),
+    (Kind::Materials, "materials", PLAIN),
 ];
 
 fn scenes_folder() -> PathBuf {
@@ -55,6 +56,8 @@ fn committed_scenes_are_valid() {
             "plaza" => 1600 * 11,
             // Seven plants and six balls share four assets.
             "glasshouse" => scene.assets.len() as u64 + 9,
+            // Twelve balls share an asset.
+            "materials" => scene.assets.len() as u64 + 11,
             // The other assets are operands of this one.
             "part" => 1,
             _ => scene.assets.len() as u64,

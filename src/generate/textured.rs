@@ -11,7 +11,7 @@ use glam::{DVec2, DVec3, Vec2};
 use super::GeneratedMesh;
 use super::numeric::{fractal, noise, sin_cos};
 use super::plain::srgb;
-use crate::assets::{Filter, Material, Mesh, PointCloud, Texture, Wrap};
+use crate::assets::{Encoding, Filter, Material, Mesh, PointCloud, Texture, Wrap};
 use crate::scene::random::SplitMix64;
 
 /// Texels along each side of the textures.
@@ -94,7 +94,12 @@ pub fn amphora(height: f64, triangles: u64, seed: u64) -> GeneratedMesh {
         double_sided: true,
         ..Material::default()
     };
-    GeneratedMesh { mesh, material: Some(material), texture: Some(painted(seed)) }
+    GeneratedMesh {
+        mesh,
+        material: Some(material),
+        texture: Some(painted(seed)),
+        ..GeneratedMesh::default()
+    }
 }
 
 /// A handle from the neck to the shoulder, in plain glaze.
@@ -161,6 +166,7 @@ fn painted(seed: u64) -> Texture {
         rgba,
         wrap: [Wrap::Repeat, Wrap::Clamp],
         filter: Filter::Linear,
+        encoding: Encoding::Srgb,
     }
 }
 
@@ -238,9 +244,15 @@ pub fn checker_mesh(size: f64) -> GeneratedMesh {
         rgba,
         wrap: [Wrap::Repeat; 2],
         filter: Filter::Linear,
+        encoding: Encoding::Srgb,
     };
     let material = Material { name: "checkerboard".to_owned(), ..Material::default() };
-    GeneratedMesh { mesh, material: Some(material), texture: Some(texture) }
+    GeneratedMesh {
+        mesh,
+        material: Some(material),
+        texture: Some(texture),
+        ..GeneratedMesh::default()
+    }
 }
 
 fn checker_color(x: u32, y: u32) -> [u8; 4] {

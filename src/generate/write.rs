@@ -272,8 +272,15 @@ fn obj(generated: &GeneratedMesh, path: &Path) -> Result<Vec<PathBuf>, GenerateE
     if has_material {
         let material = generated.material.clone().unwrap_or_default();
         let texture = generated.texture.as_ref().map(|_| format!("{stem}.png"));
-        std::fs::write(&mtl, mtl_text(stem, &material, texture.as_deref()))
-            .map_err(GenerateError::io(&mtl))?;
+        let mut text = mtl_text(stem, &material, texture.as_deref());
+        for map in &generated.maps {
+            let name = format!("{stem}-{}.png", map.texture.name);
+            let file = path.with_file_name(&name);
+            text.push_str(&format!("{} {name}\n", map.statement));
+            png(&map.texture, &file)?;
+            files.push(file);
+        }
+        std::fs::write(&mtl, text).map_err(GenerateError::io(&mtl))?;
         files.push(mtl);
     }
     if let Some(texture) = &generated.texture {
@@ -321,6 +328,13 @@ fn mtl_text(name: &str, material: &Material, texture: Option<&str>) -> String {
          Ks {sr:.4} {sg:.4} {sb:.4}\nNs {:.1}\nd 1.0\nillum 2\n",
         material.shininess
     );
+    if let Some(own) = &material.physical {
+        text.push_str(&format!("Pr {:.4}\nPm {:.4}\n", own.roughness, own.metallic));
+    }
+    if material.emissive != [0.0; 3] {
+        let [r, g, b] = material.emissive;
+        text.push_str(&format!("Ke {r:.4} {g:.4} {b:.4}\n"));
+    }
     if let Some(texture) = texture {
         text.push_str(&format!("map_Kd {texture}\n"));
     }

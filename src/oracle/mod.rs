@@ -13,7 +13,7 @@
 //!    `paint` lays them over each other instead, where that is asked for.
 //!    `pull_push` fills the gaps between samples of one pixel from coarser levels of the image instead, where that is asked for.
 //! 3. `surface`: colour (`texture` included), normal and material where the ray meets the winner.
-//! 4. `shade`: Phong, or the colour as it is. `shadow` finds out what share of a sun a place sees, where suns cast shadows, and what share of its surroundings
+//! 4. `shade`: Phong's model, that of physical materials (`physical`), or the colour as it is. `shadow` finds out what share of a sun a place sees, where suns cast shadows, and what share of its surroundings
 //!    is open to ambient light. (`occlusion` estimates that from an image, as the renderer does.)
 //! 5. `edl`: eye-dome lighting, where it is asked for.
 //! 6. `fog`: what fog leaves of all that, and of the background, where the scene has some.
@@ -31,6 +31,7 @@ mod footprint;
 mod lines;
 pub mod occlusion;
 mod paint;
+mod physical;
 mod predicates;
 mod prepare;
 mod pull_push;

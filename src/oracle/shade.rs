@@ -1,4 +1,4 @@
-//! Phong's model with ambient, head, sun and point lights. Only suns cast shadows.
+//! Phong's model and that of physical materials with ambient, head, sun and point lights. Only suns cast shadows.
 
 use glam::DVec3;
 
@@ -12,20 +12,33 @@ use super::surface::{LitAs, Surface};
 /// `albedo · Σ ambient + Σ color · (albedo · n·l + specular · max(0, r·v)^shininess)` over the lights in front of
 /// the surface (`n·l > 0`), where `r` is `l` mirrored at the normal and `v` points to the eye. Without
 /// lights, without a normal or when the material is unlit, the albedo. Ribbons have `|n·l|` in place of `n·l`, and thin lines the
-/// mean over a cylinder ([`line()`]). Ambient light, and the albedo of what is not lit, count by [`Surface::open`]. The light of a sun that casts shadows counts by the share of its disc that the place sees.
+/// mean over a cylinder ([`line()`]). Ambient light, and the albedo of what is not lit, count by [`Surface::open`]. The light of a sun
+/// that casts shadows counts by the share of its disc that the place sees. Solids of metallic-roughness materials reflect as
+/// [`Reflection`](super::physical::Reflection) has it. What a surface gives off is added where lights are.
 pub fn shade(surface: &Surface, prepared: &Prepared<'_>, eye: DVec3) -> [f64; 3] {
     let lights = prepared.scene.lights;
     let normal = surface.normal_world;
     let is_line = matches!(surface.lit_as, LitAs::Line(_));
-    if lights.is_empty() || surface.unlit || (normal == DVec3::ZERO && !is_line) {
-        return surface.albedo.map(|channel| channel * surface.open);
+    let details = &surface.details;
+    let unlit = surface.albedo.map(|channel| channel * surface.open);
+    if lights.is_empty() || surface.unlit {
+        return unlit;
+    }
+    if normal == DVec3::ZERO && !is_line {
+        return std::array::from_fn(|channel| unlit[channel] + details.emissive[channel]);
     }
     let to_eye = (-surface.way).try_normalize().unwrap_or(DVec3::ZERO);
-    let mut sum = [0.0; 3];
+    let reflection = details.reflection.filter(|_| surface.lit_as == LitAs::Solid);
+    let mut sum = details.emissive;
     for light in lights {
         let (to_light, color) = match *light {
             Light::Ambient { color } => {
-                add(&mut sum, color, surface.open, |channel| surface.albedo[channel]);
+                add(&mut sum, color, surface.open * details.unoccluded, |channel| {
+                    let albedo = surface.albedo[channel];
+                    reflection.map_or(albedo, |own| {
+                        own.of_surroundings(albedo, channel, normal.dot(to_eye))
+                    })
+                });
                 continue;
             }
             Light::Headlight { color } => (to_eye, (color, 1.0)),
@@ -48,7 +61,10 @@ pub fn shade(surface: &Surface, prepared: &Prepared<'_>, eye: DVec3) -> [f64; 3]
         if facing > 0.0 {
             let strength = color.1 * prepared.sunlight(surface, light);
             add(&mut sum, color.0, strength, |channel| {
-                surface.albedo[channel] * facing + surface.specular[channel] * highlight
+                let albedo = surface.albedo[channel];
+                reflection.map_or(albedo * facing + surface.specular[channel] * highlight, |own| {
+                    own.towards_eye(albedo, channel, [normal, to_light, to_eye])
+                })
             });
         }
     }

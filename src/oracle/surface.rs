@@ -2,12 +2,13 @@
 
 use glam::{DVec2, DVec3};
 
-use crate::assets::{Geometry, Material, Mesh, PointCloud};
+use crate::assets::{DIELECTRIC, Geometry, Material, Mesh, Physical, PointCloud, ScaledMap};
 use crate::math::View;
 use crate::scene::fields::{class_color, class_number};
 use crate::scene::recolor::{NO_VALUE, Recolor, instance_color, share};
 
 use super::color::linear_from_srgba8;
+use super::physical::Details;
 use super::prepare::{Prepared, PreparedItem};
 use super::visibility::{Hit, SeenTriangle, pixel_ray};
 use super::{lines, texture};
@@ -29,6 +30,7 @@ pub struct Surface {
     pub normal_world: DVec3,
     pub specular: [f64; 3],
     pub shininess: f64,
+    pub details: Details,
     pub unlit: bool,
     pub lit_as: LitAs,
     /// How far along a ray of light other surfaces still count as this one, and cast no shadow on it.
@@ -80,18 +82,23 @@ impl Surface {
 /// The surface that pixel `(x, y)` of `view` shows.
 pub fn at(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: usize) -> Surface {
     let item = &prepared.items[hit.item as usize];
-    let mut surface = match item.item.geometry {
+    let facing_eye = |mut surface: Surface| {
+        surface.turn_to_eye();
+        surface
+    };
+    match item.item.geometry {
         Geometry::Points(cloud) => {
             // A disc is seen where the pixel's ray meets it.
             let on_disc = || view.at_depth(pixel_ray(view, x, y), hit.depth);
             let seen = prepared.scene.discs.map(|_| on_disc());
-            sample(view, item, prepared.scene.recolor.as_ref(), (cloud, hit.index), seen)
+            let recolor = prepared.scene.recolor.as_ref();
+            facing_eye(sample(view, item, recolor, (cloud, hit.index), seen))
         }
         Geometry::Mesh(mesh) => triangle(prepared, view, item, mesh, (hit, x, y)),
-        Geometry::Lines(lines) => lines::surface(prepared, view, item, lines, (hit, x, y)),
-    };
-    surface.turn_to_eye();
-    surface
+        Geometry::Lines(lines) => {
+            facing_eye(lines::surface(prepared, view, item, lines, (hit, x, y)))
+        }
+    }
 }
 
 /// Whether the material's alpha says that nothing is here.
@@ -184,6 +191,7 @@ fn sample(
     )
 }
 
+/// The surface of a triangle, turned to the eye.
 fn triangle(
     prepared: &Prepared<'_>,
     view: &View,
@@ -220,8 +228,84 @@ fn triangle(
             world_from_view * (b - a).cross(c - a)
         }
     };
-    surface(color, (view, position_view), normal, &material)
+    let mut surface = surface(color, (view, position_view), normal, &material);
+    surface.turn_to_eye();
+    if let Some(uvs) = corner_values(&mesh.uvs, corners).filter(|_| own.has_maps()) {
+        let uvs = uvs.map(|uv| uv.as_dvec2());
+        let footprint = uv_footprint(&seen, view, ray, uvs);
+        let values = |map: Option<u32>| -> Option<[f64; 4]> {
+            let texture = item.item.textures.get(map? as usize)?;
+            Some(texture::sample(texture, prepared.pyramid(texture), &footprint))
+        };
+        apply_maps(&mut surface, &own, values);
+        if let Some(bump) = own.normal_map.and_then(|map| bump(map, values)) {
+            let [a, b, c] = seen.corners.map(|corner| world_from_view * corner);
+            let front = seen.is_counter_clockwise() != item.mirrored;
+            bend(&mut surface, [b - a, c - a], [uvs[1] - uvs[0], uvs[2] - uvs[0]], (bump, front));
+        }
+    }
+    surface
 }
+
+/// Multiplies what a material says by what its maps, other than that of the normals, show.
+fn apply_maps(
+    surface: &mut Surface,
+    own: &Material,
+    values: impl Fn(Option<u32>) -> Option<[f64; 4]>,
+) {
+    let details = &mut surface.details;
+    if let (Some(reflection), Some([_, green, blue, _])) =
+        (&mut details.reflection, values(own.physical.and_then(|own| own.map)))
+    {
+        reflection.roughness *= green;
+        reflection.metallic *= blue;
+    }
+    if let Some(light) = values(own.emissive_map) {
+        for (emissive, light) in details.emissive.iter_mut().zip(light) {
+            *emissive *= light;
+        }
+    }
+    if let Some((map, [red, ..])) =
+        own.occlusion_map.and_then(|map| Some((map, values(Some(map.texture))?)))
+    {
+        details.unoccluded = 1.0 - f64::from(map.factor) * (1.0 - red);
+    }
+}
+
+/// What a normal map shows, in tangent space, up to length.
+fn bump(map: ScaledMap, values: impl Fn(Option<u32>) -> Option<[f64; 4]>) -> Option<DVec3> {
+    let [red, green, blue, _] = values(Some(map.texture))?.map(|value| 2.0 * value - 1.0);
+    let factor = f64::from(map.factor);
+    Some(DVec3::new(red * factor, green * factor, blue))
+}
+
+/// Replaces a normal by that which a normal map gives (glTF 2.0, §3.9.3). The tangent points to where u grows, the bitangent to where v becomes
+/// less. `edges` and `uv_edges`: from the first corner to the others, in world axes and on the texture.
+fn bend(
+    surface: &mut Surface,
+    edges: [DVec3; 2],
+    uv_edges: [DVec2; 2],
+    (bump, shows_front): (DVec3, bool),
+) {
+    let side = if shows_front { 1.0 } else { -1.0 };
+    let front = surface.normal_world * side;
+    // Gradients of the place, up to the same positive factor.
+    let turn = uv_edges[0].perp_dot(uv_edges[1]);
+    let sign = if turn > 0.0 { 1.0 } else { -1.0 };
+    let along_u = (edges[0] * uv_edges[1].y - edges[1] * uv_edges[0].y) * sign;
+    let along_v = (edges[1] * uv_edges[0].x - edges[0] * uv_edges[1].x) * sign;
+    let Some(tangent) = (along_u - front * front.dot(along_u)).try_normalize() else { return };
+    let across = front.cross(tangent);
+    let bitangent = if across.dot(along_v) > 0.0 { -across } else { across };
+    let bent = tangent * bump.x + bitangent * bump.y + front * bump.z;
+    if let Some(bent) = bent.try_normalize() {
+        surface.normal_world = bent * side;
+    }
+}
+
+/// What a node's metallic value or roughness changes in a material of Phong's model.
+const PLAIN: Physical =
+    Physical { metallic: 0.0, roughness: 1.0, dielectric: [DIELECTRIC; 3], map: None };
 
 /// The material with the node's own laid over it.
 pub fn overridden(item: &PreparedItem<'_>, own: &Material) -> Material {
@@ -230,6 +314,18 @@ pub fn overridden(item: &PreparedItem<'_>, own: &Material) -> Material {
         material.base_color = over.base_color.unwrap_or(material.base_color);
         material.specular = over.specular.unwrap_or(material.specular);
         material.shininess = over.shininess.unwrap_or(material.shininess);
+        if over.is_phong() {
+            material.physical = None;
+        }
+        if over.is_physical() {
+            let own = material.physical.unwrap_or(PLAIN);
+            material.physical = Some(Physical {
+                metallic: over.metallic.unwrap_or(own.metallic),
+                roughness: over.roughness.unwrap_or(own.roughness),
+                ..own
+            });
+        }
+        material.emissive = over.emissive.unwrap_or(material.emissive);
         material.unlit = over.unlit.unwrap_or(material.unlit);
     }
     material
@@ -250,6 +346,7 @@ pub fn surface(
         normal_world: normal.try_normalize().unwrap_or(DVec3::ZERO),
         specular: material.specular.map(f64::from),
         shininess: f64::from(material.shininess),
+        details: Details::of(material),
         unlit: material.unlit,
         lit_as: LitAs::Solid,
         thickness: 0.0,

@@ -284,14 +284,7 @@ fn single_sided_triangles_are_culled_from_behind_and_mirrors_flip_them() {
         let mut placed =
             OracleItem { world_from_geometry: transform, materials: &single, ..item(&geometry) };
         assert_eq!(render(&scene(vec![placed]), &view, 1).id[40] == 1, visible);
-        let over = MaterialSpec {
-            name: String::new(),
-            base_color: None,
-            specular: None,
-            shininess: None,
-            unlit: None,
-            double_sided: Some(true),
-        };
+        let over = MaterialSpec { double_sided: Some(true), ..MaterialSpec::default() };
         placed.override_material = Some(&over);
         assert_eq!(render(&scene(vec![placed]), &view, 1).id[40], 1);
     }

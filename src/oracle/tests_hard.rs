@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 use super::tests::{camera, item, mesh, points, scene};
 use super::*;
-use crate::assets::{Filter, MeshPart, PointCloud, Texture, Wrap};
+use crate::assets::{Encoding, Filter, MeshPart, PointCloud, Texture, Wrap};
 
 /// Ordinary numbers beside those that break renderers.
 fn coordinate() -> impl Strategy<Value = f64> {
@@ -71,6 +71,7 @@ proptest! {
             rgba: vec![[9, 99, 200, 255]; 6],
             wrap: [Wrap::Mirror, Wrap::Repeat],
             filter: Filter::Linear,
+            encoding: Encoding::Srgb,
         };
         let material = Material {
             base_texture: Some(0),

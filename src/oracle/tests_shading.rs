@@ -6,16 +6,7 @@ use super::color::linear_from_srgb8;
 use super::tests::{camera, item, points, quad, scene};
 use super::visibility::pixel_ray;
 use super::*;
-use crate::assets::{Filter, MeshPart, PointCloud, Wrap};
-
-const SPEC: MaterialSpec = MaterialSpec {
-    name: String::new(),
-    base_color: None,
-    specular: None,
-    shininess: None,
-    unlit: None,
-    double_sided: None,
-};
+use crate::assets::{Encoding, Filter, MeshPart, PointCloud, Wrap};
 
 /// A square of edge 2 around the origin, facing +z, with the material.
 fn square(material: Option<u32>) -> crate::assets::Mesh {
@@ -73,6 +64,7 @@ fn a_checker_seen_at_an_angle_shows_the_right_squares() {
         rgba: (0..32).map(|i| texel(i % 8, i / 8)).collect(),
         wrap: [Wrap::Repeat; 2],
         filter: Filter::Nearest,
+        encoding: Encoding::Srgb,
     };
     let materials =
         [Material::default(), Material { base_texture: Some(0), ..Material::default() }];
@@ -113,6 +105,7 @@ fn minification_blends_to_the_average() {
             .collect(),
         wrap: [Wrap::Clamp; 2],
         filter,
+        encoding: Encoding::Srgb,
     };
     let materials = [Material { base_texture: Some(0), ..Material::default() }];
     let geometry = Geometry::Mesh(far);
@@ -161,7 +154,11 @@ fn what_alpha_cuts_out_shows_what_is_behind() {
 #[test]
 fn overrides_replace_what_they_name() {
     let materials = [Material { base_color: [0.5, 0.5, 0.5, 1.0], ..Material::default() }];
-    let over = MaterialSpec { base_color: Some([0.25, 1.0, 0.0, 1.0]), unlit: Some(true), ..SPEC };
+    let over = MaterialSpec {
+        base_color: Some([0.25, 1.0, 0.0, 1.0]),
+        unlit: Some(true),
+        ..MaterialSpec::default()
+    };
     let view = camera([0.0, 0.0, 3.0], [0.0; 3], 30.0).view(1, 1).unwrap();
     let black = [Light::Ambient { color: [0.0; 3] }];
     let mesh = Geometry::Mesh(square(Some(0)));
@@ -184,8 +181,11 @@ fn lit(lights: &[Light], normal: Vec3, specular: f32) -> [f64; 4] {
         ..PointCloud::default()
     });
     let view = camera([1.0, 0.0, 0.0], [1.0, 0.0, -1.0], 30.0).view(1, 1).unwrap();
-    let over =
-        MaterialSpec { specular: Some([specular, 0.0, specular]), shininess: Some(3.0), ..SPEC };
+    let over = MaterialSpec {
+        specular: Some([specular, 0.0, specular]),
+        shininess: Some(3.0),
+        ..MaterialSpec::default()
+    };
     let shiny = OracleItem { override_material: Some(&over), ..item(&geometry) };
     render(&OracleScene { lights, ..scene(vec![shiny]) }, &view, 1).color[0]
 }

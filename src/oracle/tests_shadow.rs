@@ -7,7 +7,9 @@ use super::tests::{item, points, quad, scene};
 use super::tests_splats::{cloud, sharp, view};
 use super::visibility::pixel_ray;
 use super::*;
-use crate::assets::{Clip, ClipLine, Filter, Mesh, MeshPart, PointCloud, Polylines, Wrap};
+use crate::assets::{
+    Clip, ClipLine, Encoding, Filter, Mesh, MeshPart, PointCloud, Polylines, Wrap,
+};
 use crate::scene::{Blend, Filter as SplatFilter};
 
 /// A place on the Earth in metres, as surveys have them.
@@ -118,6 +120,7 @@ fn translucent_squares_cast_no_shadow_and_cut_ones_cast_what_is_left() {
         rgba: [255, 0, 0, 255].map(texel).to_vec(),
         wrap: [Wrap::Clamp; 2],
         filter: Filter::Nearest,
+        encoding: Encoding::Srgb,
     }];
     let quarters = [(-0.5, -5.5), (0.5, -5.5), (-0.5, -4.5), (0.5, -4.5)];
     let quarters = quarters.map(|(x, z)| DVec3::new(x, 0.0, z));
@@ -132,14 +135,7 @@ fn translucent_squares_cast_no_shadow_and_cut_ones_cast_what_is_left() {
     let opaque = Material::default();
     assert_eq!(found(opaque.clone(), None), [0.0; 4]);
     assert_eq!(found(Material { translucent: true, ..opaque.clone() }, None), [1.0; 4]);
-    let glass = MaterialSpec {
-        name: String::new(),
-        base_color: Some([1.0, 1.0, 1.0, 0.5]),
-        specular: None,
-        shininess: None,
-        unlit: None,
-        double_sided: None,
-    };
+    let glass = MaterialSpec { base_color: Some([1.0, 1.0, 1.0, 0.5]), ..MaterialSpec::default() };
     assert_eq!(found(opaque.clone(), Some(&glass)), [1.0; 4]);
     let cut = Material { base_texture: Some(0), alpha_cutoff: Some(0.5), ..opaque };
     assert_eq!(found(cut.clone(), None), [0.0, 1.0, 1.0, 0.0]);

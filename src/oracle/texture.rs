@@ -2,7 +2,7 @@
 
 use glam::DVec2;
 
-use crate::assets::{Filter, Texture, Wrap};
+use crate::assets::{Encoding, Filter, Texture, Wrap};
 
 use super::color::{byte_from_unit, linear_from_srgba8, srgb8_from_linear};
 
@@ -20,6 +20,7 @@ pub struct Level {
     pub width: usize,
     pub height: usize,
     pub rgba: Vec<[u8; 4]>,
+    pub encoding: Encoding,
 }
 
 /// A texture in all its sizes down to one texel, the largest first.
@@ -36,6 +37,7 @@ impl Pyramid {
             width: texture.width as usize,
             height: texture.height as usize,
             rgba: texture.rgba.clone(),
+            encoding: texture.encoding,
         }];
         while let Some(level) = levels.last().filter(|level| level.width > 1 || level.height > 1) {
             levels.push(level.halved());
@@ -53,13 +55,18 @@ impl Level {
             for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
                 let texel =
                     (y + dy).min(self.height - 1) * self.width + (x + dx).min(self.width - 1);
-                let linear = linear_from_srgba8(self.rgba[texel]);
+                let linear = decoded(self.encoding, self.rgba[texel]);
                 sum = std::array::from_fn(|channel| sum[channel] + linear[channel] / 4.0);
             }
-            let [r, g, b] = [sum[0], sum[1], sum[2]].map(srgb8_from_linear);
+            let byte = match self.encoding {
+                Encoding::Srgb => srgb8_from_linear,
+                Encoding::Linear => byte_from_unit,
+            };
+            let [r, g, b] = [sum[0], sum[1], sum[2]].map(byte);
             [r, g, b, byte_from_unit(sum[3])]
         };
-        Level { width, height, rgba: (0..width * height).map(average).collect() }
+        let rgba = (0..width * height).map(average).collect();
+        Level { width, height, rgba, encoding: self.encoding }
     }
 
     /// Bilinear in linear light; texel centres lie at + ½.
@@ -72,11 +79,19 @@ impl Level {
             let y = wrapped((corner.y as i64).saturating_add(dy), self.height, wrap[1]);
             let weight_x = if dx == 0 { 1.0 - part.x } else { part.x };
             let weight_y = if dy == 0 { 1.0 - part.y } else { part.y };
-            let texel = linear_from_srgba8(self.rgba[y * self.width + x]);
+            let texel = decoded(self.encoding, self.rgba[y * self.width + x]);
             sum =
                 std::array::from_fn(|channel| sum[channel] + texel[channel] * weight_x * weight_y);
         }
         sum
+    }
+}
+
+/// Linear values of a texel.
+fn decoded(encoding: Encoding, texel: [u8; 4]) -> [f64; 4] {
+    match encoding {
+        Encoding::Srgb => linear_from_srgba8(texel),
+        Encoding::Linear => texel.map(|byte| f64::from(byte) / 255.0),
     }
 }
 
@@ -112,7 +127,7 @@ pub fn sample(texture: &Texture, pyramid: Option<&Pyramid>, footprint: &Footprin
         _ => {
             let x = wrapped((uv.x * width as f64).floor() as i64, width, texture.wrap[0]);
             let y = wrapped((uv.y * height as f64).floor() as i64, height, texture.wrap[1]);
-            linear_from_srgba8(texture.rgba[y * width + x])
+            decoded(texture.encoding, texture.rgba[y * width + x])
         }
     }
 }
@@ -138,7 +153,8 @@ mod tests {
     fn texture(width: u32, height: u32, texel: impl Fn(u32, u32) -> [u8; 4]) -> Texture {
         let rgba = (0..width * height).map(|i| texel(i % width, i / width)).collect();
         let wrap = [Wrap::Repeat; 2];
-        Texture { name: String::new(), width, height, rgba, wrap, filter: Filter::Linear }
+        let (filter, encoding) = (Filter::Linear, Encoding::Srgb);
+        Texture { name: String::new(), width, height, rgba, wrap, filter, encoding }
     }
 
     fn at(uv: [f64; 2], texels_a_pixel: f64, width: f64) -> Footprint {

@@ -45,6 +45,11 @@ impl SeenTriangle {
         (facing != 0).then_some(Self { corners, image, facing })
     }
 
+    /// Whether its corners run counter-clockwise for the viewer.
+    pub fn is_counter_clockwise(&self) -> bool {
+        self.facing < 0
+    }
+
     /// Whether `ray` meets the triangle in front of the eye. Of triangles that share an edge, one has its points.
     pub fn covers(&self, ray: DVec3) -> bool {
         let [a, b, c] = self.image;
@@ -264,7 +269,7 @@ fn add_triangles<Kept: Send>(
 ) {
     let seen = |index: u32| {
         let triangle = SeenTriangle::new(item.triangle_view(mesh, index)?, view.projection)?;
-        let counter_clockwise = (triangle.facing < 0) != item.mirrored;
+        let counter_clockwise = triangle.is_counter_clockwise() != item.mirrored;
         // Clip boxes open what is closed.
         let is_open = prepared.scene.clip.is_some();
         let drawn = counter_clockwise || is_open || item.double_sided(mesh, index);

@@ -80,6 +80,7 @@ impl<'a> Names<'a> {
             "pixels" => scratch.pixels.buffer(),
             "colors" => scratch.colors.buffer(),
             "normals" => scratch.normals.buffer(),
+            "mapped" => scratch.mapped.buffer(),
             "openness" => scratch.openness.buffer(),
             "stats" => scratch.stats.buffer(),
             "placed" => scratch.placed.buffer(),

@@ -22,6 +22,8 @@ pub struct Scratch {
     /// Colours and normals of surfaces that wait for `write_output`.
     pub colors: buffer::Scratch,
     pub normals: buffer::Scratch,
+    /// What maps of their materials say of surfaces that wait for `write_output`: two words each.
+    pub mapped: buffer::Scratch,
     /// How open the surroundings of each pixel are, for ambient light.
     pub openness: buffer::Scratch,
     /// Sums of blended splats: two words of 32 bits for each pixel in each buffer.
@@ -144,6 +146,7 @@ impl Scratch {
             pixels: make("pixels"),
             colors: make("colors"),
             normals: make("normals"),
+            mapped: make("mapped"),
             openness: make("openness"),
             sums: ["sums_0", "sums_1", "sums_2", "sums_3"].map(make),
             layers: make("layers"),
@@ -227,6 +230,9 @@ impl Scratch {
         if task.plan.runs(Pass::WriteOutput) {
             self.colors.reserve(gpu, pixels * 8);
             self.normals.reserve(gpu, pixels * 4);
+            if scene.looks.maps {
+                self.mapped.reserve(gpu, pixels * 8);
+            }
         }
         if task.plan.runs(Pass::AmbientOcclusion) {
             self.openness.reserve(gpu, pixels * 4);

@@ -97,6 +97,9 @@ fragments![
     "shared/vote_alone",
     "shared/normals",
     "shared/phong",
+    "shared/physical",
+    "shared/maps_none",
+    "shared/maps_kept",
     "shared/shadow_none",
     "shared/shadow_maps",
     "shared/kept",
@@ -271,6 +274,8 @@ pub struct Choices {
     pub shadows: bool,
     /// `OPENNESS`: surfaces hide ambient light from each other.
     pub occlusion: bool,
+    /// `KEPT_MAPS`: kept surfaces have what maps say of them.
+    pub maps: bool,
     /// `ENTRIES`, `LIST`, `MEMBERS`: the frame lists its own entries, from point trees.
     pub trees: bool,
     /// `NODES`: samples are nodes of point trees.
@@ -297,6 +302,7 @@ impl Default for Choices {
             lit: false,
             shadows: false,
             occlusion: false,
+            maps: false,
             trees: false,
             nodes: false,
             fields: false,
@@ -308,7 +314,7 @@ impl Default for Choices {
 }
 
 impl Choices {
-    fn aliases(&self) -> [(&'static str, &'static str); 17] {
+    fn aliases(&self) -> [(&'static str, &'static str); 18] {
         let either = |choice, yes, no| if choice { yes } else { no };
         [
             ("VOTE", either(self.subgroups, "shared/vote_subgroup", "shared/vote_alone")),
@@ -327,6 +333,7 @@ impl Choices {
             ("LIT", either(self.lit, "shared/lit_splat", "shared/lit_none")),
             ("SHADOWS", either(self.shadows, "shared/shadow_maps", "shared/shadow_none")),
             ("OPENNESS", either(self.occlusion, "shared/openness_near", "shared/openness_all")),
+            ("KEPT_MAPS", either(self.maps, "shared/maps_kept", "shared/maps_none")),
             ("ENTRIES", either(self.trees, "shared/entries_tree", "shared/entries_full")),
             ("LIST", either(self.trees, "shared/list_tree", "shared/list_full")),
             ("MEMBERS", either(self.trees, "shared/members_listed", "shared/members_all")),

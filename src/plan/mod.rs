@@ -274,6 +274,7 @@ impl Facts<'_> {
     fn lights_splats(&self) -> bool {
         self.scene.has(GeometryKind::Samples)
             && self.scene.lights > 0
+            && self.frame.reconstruction.blends()
             && self.frame.reconstruction.shades(Shading::Splat)
     }
 

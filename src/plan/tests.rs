@@ -379,6 +379,8 @@ fn ambient_occlusion_needs_depths_and_ambient_light_of_its_own() {
     assert!(of(&scene, fuzzy).is_some_and(|why| why.contains("no depths")));
     let singly = with(Reconstruction::Splats(Splats { shading: Shading::Splat, ..splats }));
     assert!(of(&scene, singly).is_some_and(|why| why.contains("one by one")));
+    let opaque = Splats { shading: Shading::Splat, blend: Blend::Opaque, ..splats };
+    assert_eq!(of(&scene, with(Reconstruction::Splats(opaque))), None);
     let unlit = SceneFacts { lights: 0, ..scene };
     assert_eq!(of(&unlit, singly), None);
     let meshes = SceneFacts { counts: TRIANGLES, ..scene };

@@ -187,17 +187,32 @@ pub struct GpuMaterial {
     pub flags: u32,
     pub alpha_cutoff: f32,
     pub overrides: u32,
+    pub dielectric: [f32; 3],
+    pub metallic: f32,
+    pub emissive: [f32; 3],
+    pub roughness: f32,
+    pub reflection_map: u32,
+    pub normal_map: u32,
+    pub occlusion_map: u32,
+    pub emissive_map: u32,
+    pub normal_scale: f32,
+    pub occlusion_strength: f32,
+    pub unused: [u32; 2],
 }
 
 pub const MATERIAL_DOUBLE_SIDED: u32 = 1;
 pub const MATERIAL_UNLIT: u32 = 2;
 pub const MATERIAL_ALPHA_TEST: u32 = 4;
+pub const MATERIAL_PHYSICAL: u32 = 8;
 
 pub const OVERRIDE_BASE_COLOR: u32 = 1;
 pub const OVERRIDE_SPECULAR: u32 = 2;
 pub const OVERRIDE_SHININESS: u32 = 4;
 pub const OVERRIDE_UNLIT: u32 = 8;
 pub const OVERRIDE_DOUBLE_SIDED: u32 = 16;
+pub const OVERRIDE_METALLIC: u32 = 32;
+pub const OVERRIDE_ROUGHNESS: u32 = 64;
+pub const OVERRIDE_EMISSIVE: u32 = 128;
 
 /// `Texture` of `shared/texture.wgsl`.
 #[repr(C)]
@@ -210,7 +225,7 @@ pub struct GpuTexture {
     pub levels: u32,
     pub wrap: u32,
     pub nearest: u32,
-    pub unused: u32,
+    pub linear: u32,
 }
 
 /// `Light` of `shared/phong.wgsl`.

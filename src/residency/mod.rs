@@ -107,8 +107,21 @@ pub struct Looks {
     /// Some instance of a mesh has a translucent colour of its own.
     pub translucent_overrides: bool,
     pub specular: bool,
+    /// Some material reflects as the metallic-roughness model has it.
+    pub physical: bool,
+    /// Some material gives off light.
+    pub emissive: bool,
+    /// Some material has maps beside that of its colour.
+    pub maps: bool,
     pub unlit: bool,
     pub point_lights: bool,
+}
+
+impl Looks {
+    /// Whether lighting a pixel or a splat takes its material.
+    pub fn has_looked_up(&self) -> bool {
+        self.overrides || self.specular || self.physical || self.emissive || self.unlit
+    }
 }
 
 /// Where a frame finds the chunks of a scene's instances.

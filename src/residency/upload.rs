@@ -13,7 +13,7 @@ use super::{
     Looks, PARTS_BYTES, Piece, Residency, ResidencyError, ResidentAsset, ResidentGeometry,
     ResidentScene, SceneMaterials, TEXEL_PAGES,
 };
-use crate::assets::Material;
+use crate::assets::{DIELECTRIC, Encoding, Material, Physical};
 use crate::bake::pack::{PackedChunk, PackedGeometry, Sides};
 use crate::bake::tree::SORTED;
 use crate::gpu::Gpu;
@@ -32,16 +32,38 @@ pub(super) fn gpu_material(material: &Material, texture_start: u32) -> GpuMateri
     if material.alpha_cutoff.is_some() {
         flags |= MATERIAL_ALPHA_TEST;
     }
+    if material.physical.is_some() {
+        flags |= MATERIAL_PHYSICAL;
+    }
+    let numbered = |texture: Option<u32>| texture.map_or(0, |own| texture_start + own + 1);
+    let physical = material.physical.unwrap_or(PLAIN);
+    let normal_map = material.normal_map;
+    let occlusion_map = material.occlusion_map;
     GpuMaterial {
         base_color: material.base_color,
         specular: material.specular,
         shininess: material.shininess.max(1.0),
-        texture: material.base_texture.map_or(0, |texture| texture_start + texture + 1),
+        texture: numbered(material.base_texture),
         flags,
         alpha_cutoff: material.alpha_cutoff.unwrap_or(0.0),
         overrides: 0,
+        dielectric: physical.dielectric,
+        metallic: physical.metallic,
+        emissive: material.emissive,
+        roughness: physical.roughness,
+        reflection_map: numbered(physical.map),
+        normal_map: numbered(normal_map.map(|own| own.texture)),
+        occlusion_map: numbered(occlusion_map.map(|own| own.texture)),
+        emissive_map: numbered(material.emissive_map),
+        normal_scale: normal_map.map_or(0.0, |own| own.factor),
+        occlusion_strength: occlusion_map.map_or(0.0, |own| own.factor),
+        unused: [0; 2],
     }
 }
+
+/// What the metallic-roughness model begins with where a node makes a material of Phong's one of its own.
+const PLAIN: Physical =
+    Physical { metallic: 0.0, roughness: 1.0, dielectric: [DIELECTRIC; 3], map: None };
 
 fn gpu_override(spec: &MaterialSpec) -> GpuMaterial {
     let mut out = GpuMaterial { shininess: 1.0, ..Default::default() };
@@ -56,6 +78,18 @@ fn gpu_override(spec: &MaterialSpec) -> GpuMaterial {
     if let Some(shininess) = spec.shininess {
         out.shininess = shininess.max(1.0);
         out.overrides |= OVERRIDE_SHININESS;
+    }
+    if let Some(metallic) = spec.metallic {
+        out.metallic = metallic;
+        out.overrides |= OVERRIDE_METALLIC;
+    }
+    if let Some(roughness) = spec.roughness {
+        out.roughness = roughness;
+        out.overrides |= OVERRIDE_ROUGHNESS;
+    }
+    if let Some(emissive) = spec.emissive {
+        out.emissive = emissive;
+        out.overrides |= OVERRIDE_EMISSIVE;
     }
     if let Some(unlit) = spec.unlit {
         out.flags |= if unlit { MATERIAL_UNLIT } else { 0 };
@@ -153,15 +187,26 @@ fn materials_of(model: &SceneModel) -> impl Iterator<Item = &Material> + Clone {
 fn looks(model: &SceneModel) -> Looks {
     let black = [0.0; 3];
     let materials = materials_of(model);
-    let textures = materials.clone().any(|material| material.base_texture.is_some());
+    let maps = materials.clone().any(Material::has_maps);
+    let textures = maps || materials.clone().any(|material| material.base_texture.is_some());
     let unlit = materials.clone().any(|material| material.unlit);
-    let shines = materials.clone().any(|material| material.specular != black);
+    // Lines have Phong's model, whatever their material.
+    let has_lines = model.counts().segments > 0;
+    let shines =
+        materials.clone().any(|own| own.specular != black && (has_lines || own.physical.is_none()));
+    let physical = materials.clone().any(|own| own.physical.is_some())
+        || model.materials.iter().any(MaterialSpec::is_physical);
+    let emissive = materials.clone().any(|own| own.emissive != black)
+        || model.materials.iter().any(|spec| spec.emissive.is_some_and(|own| own != black));
     let polished = model.materials.iter().any(|spec| spec.specular.is_some_and(|s| s != black));
     Looks {
         textures,
         overrides: model.instances.iter().any(|instance| instance.material.is_some()),
         translucent_overrides: model.has_translucent_overrides(),
         specular: shines || polished,
+        physical,
+        emissive,
+        maps,
         unlit,
         point_lights: model.lights.iter().any(|light| matches!(light, Light::Point { .. })),
     }
@@ -231,7 +276,7 @@ impl Residency {
                 levels: texture.levels,
                 wrap: texture.wrap,
                 nearest: u32::from(texture.nearest),
-                unused: 0,
+                linear: u32::from(texture.encoding == Encoding::Linear),
             };
             self.textures.write(gpu, 0, resident.texture_start + index as u32, &[record]);
         }

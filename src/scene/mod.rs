@@ -147,18 +147,33 @@ pub enum Repeat {
 }
 
 /// Appearance that a node lays over its asset's own.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct MaterialSpec {
     pub name: String,
     /// Linear RGB and alpha; `None` keeps the asset's.
     pub base_color: Option<[f32; 4]>,
     pub specular: Option<[f32; 3]>,
     pub shininess: Option<f32>,
+    /// 0 to 1; with this or `roughness`, the metallic-roughness model of glTF takes the place of Phong's.
+    pub metallic: Option<f32>,
+    pub roughness: Option<f32>,
+    /// Linear RGB of light that the surface gives off.
+    pub emissive: Option<[f32; 3]>,
     pub unlit: Option<bool>,
     pub double_sided: Option<bool>,
 }
 
 impl MaterialSpec {
+    /// Whether it makes surfaces reflect as the metallic-roughness model has it.
+    pub fn is_physical(&self) -> bool {
+        self.metallic.is_some() || self.roughness.is_some()
+    }
+
+    /// Whether it makes surfaces reflect as Phong's model has it.
+    pub fn is_phong(&self) -> bool {
+        self.specular.is_some() || self.shininess.is_some()
+    }
+
     /// Whether meshes of this colour let what is behind them show through.
     pub fn is_translucent(&self) -> bool {
         self.base_color.is_some_and(|color| color[3] < 1.0)

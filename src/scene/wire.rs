@@ -272,11 +272,24 @@ pub(super) struct RepeatWire {
 pub(super) struct MaterialWire {
     #[serde(default)]
     pub color: Option<ColorWire>,
+    /// Specular colour of Phong's model.
     #[serde(default)]
     pub specular: Option<ColorWire>,
     /// Phong exponent, at least 1.
     #[serde(default)]
     pub shininess: Option<f64>,
+    /// From 0, for dielectrics, to 1, for metals; in the metallic-roughness model of glTF, which knows neither `specular` nor `shininess`.
+    #[serde(default)]
+    pub metallic: Option<f64>,
+    /// From 0, for mirrors, to 1; in the metallic-roughness model of glTF. Without it the asset's own, or 1.
+    #[serde(default)]
+    pub roughness: Option<f64>,
+    /// Colour of light that the surface gives off.
+    #[serde(default)]
+    pub emissive: Option<ColorWire>,
+    /// Factor of `emissive`, 1 when absent.
+    #[serde(default)]
+    pub emissive_strength: Option<f64>,
     #[serde(default)]
     pub unlit: Option<bool>,
     #[serde(default)]

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use pointillist::assets::Material;
+use pointillist::assets::{Encoding, Material};
 use pointillist::bake::pack::{PackedAsset, PackedTexture};
 use pointillist::engine::FrameRequest;
 use pointillist::gpu::{Gpu, GpuOptions};
@@ -70,6 +70,7 @@ fn textured(uid: u64, texels: &[u32], materials: usize) -> Arc<SceneModel> {
             levels: 1,
             wrap: 0,
             nearest: true,
+            encoding: Encoding::Srgb,
             texels: vec![uid as u32; count as usize],
         })
         .collect();

@@ -104,6 +104,11 @@ fn textured() {
 }
 
 #[test]
+fn materials() {
+    compare("materials", &["front", "lantern"]);
+}
+
+#[test]
 fn glasshouse() {
     compare("glasshouse", &["corner", "bench"]);
 }

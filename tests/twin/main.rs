@@ -26,6 +26,7 @@ mod materials;
 mod occlusion;
 mod orthographic;
 mod painted;
+mod physical;
 mod point_size;
 mod precision;
 mod pull_push;

@@ -207,8 +207,8 @@ fn things_far_before_a_wall_leave_no_halo() {
     assert_eq!(dark, 0);
 }
 
-/// A frame and the part of a larger one that shows the same: equal up to a byte away from the edges, by a radius and two pixels. Nearer, the surroundings
-/// beside the frame are not seen; they count as open.
+/// A frame and the part of a larger one that shows the same: equal up to two steps of a byte away from the edges, by a radius and four pixels. Nearer, the
+/// surroundings beside the frame are not seen; they count as open. The margin is a multiple of four, so that the squares of pixels are the same.
 #[test]
 fn edges_of_a_frame_are_brighter_at_most() {
     let case = corner("ao-edges");
@@ -270,6 +270,31 @@ fn unlit_surfaces_are_darkened_as_a_whole() {
     println!("{far} pixels differ from the formula, {dark} are darkened");
     assert!(far < 200 && dark > 400, "{far} {dark}");
     assert!(twin.iter().all(|&share| share >= 0.5));
+}
+
+/// Lines thinner than a few pixels darken what is near to them and are not darkened, whether they are lit or not.
+#[test]
+fn thin_lines_are_not_darkened() {
+    let at = |x: f64, y: f64, z: f64| (DVec3::new(x, y, z), 0.004, [200, 120, 60]);
+    let strands = [
+        vec![at(-1.0, 0.01, 0.5), at(1.0, 0.01, 0.5)],
+        vec![at(0.0, 0.02, 1.0), at(0.3, 0.6, -1.9)],
+    ];
+    let files = [("floor.ply", floor().ply()), ("lines.vtk", super::lines::vtk(&strands))];
+    for lights in [json!([]), json!([{ "kind": "ambient" }])] {
+        let wall = json!({ "file": "floor.ply" });
+        let scene = json!({ "assets": { "floor": wall, "lines": { "file": "lines.vtk" } }, "lights": lights,
+            "nodes": [{ "asset": "floor" }, { "asset": "floor", "rotate": [90, 0, 0], "translate": [0, 0, -2] }, { "asset": "lines" }],
+            "ambient_occlusion": { "radius": RADIUS } });
+        let case =
+            Case::new(&format!("ao-lines-{}", lights.as_array().unwrap().len()), &files, &scene);
+        let view = look([0.5, 1.6, 4.0], [0.0, 0.1, 0.0], 30.0);
+        let [on, off] = [points(), off()].map(|settings| case.draw_wide(&view, settings));
+        assert!(on.ran(Pass::AmbientOcclusion) && on.color != off.color);
+        let lines: Vec<usize> = (0..on.id.len()).filter(|&i| on.id[i] == 3).collect();
+        assert!(lines.len() > 60, "{}", lines.len());
+        assert!(lines.iter().all(|&i| on.color[i] == off.color[i]));
+    }
 }
 
 /// Without ambient occlusion in the scene, with a strength of 0 and with the setting off, frames have the same passes and the same bytes.

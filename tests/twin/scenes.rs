@@ -32,6 +32,16 @@ fn textured() {
     check("textured", &["front", "detail", "grazing"], &Tolerance::default());
 }
 
+/// Balls of many materials, and a lantern with maps. Highlights of smooth balls are as steep as a triangle's interpolated normals are coarse.
+#[test]
+fn materials() {
+    check(
+        "materials",
+        &["front", "lantern", "gold"],
+        &Tolerance { color: 6, ..Tolerance::default() },
+    );
+}
+
 /// Up to a dozen panes, and balls within balls, before and behind leaves.
 #[test]
 fn glasshouse() {

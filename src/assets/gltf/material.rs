@@ -1,22 +1,29 @@
 //! Materials and their base textures, made when a primitive first asks for them.
 //!
-//! Metallic–roughness becomes Phong as
+//! Lines, and whatever else knows Phong's model alone, have metallic–roughness as
 //! `specular = mix(0.04, base, metallic)` and `shininess = 2 / roughness⁴ − 2`, clamped to 1..=512:
 //! the reflectance at normal incidence, and the exponent whose lobe is as wide as a Beckmann
 //! distribution of slope `roughness²` (Walter et al., "Microfacet Models for Refraction", 2007).
-//! Specular–glossiness uses its specular colour and `roughness = 1 − glossiness`. Blending is
-//! drawn as a cut-out.
+//! Specular–glossiness uses its specular colour, for a dielectric, and `roughness = 1 − glossiness`.
+//!
+//! A mesh has one pair of texture coordinates for each vertex. They are those of the base colour's texture, or of the first
+//! map where there is none; a map with others is left out.
 
 use std::collections::HashMap;
 
+use ::gltf::json::extensions::texture::TextureTransform as Transform;
 use ::gltf::json::material::AlphaMode;
 use ::gltf::json::texture::{self as json_texture, MagFilter, WrappingMode};
 use ::gltf::json::validation::Checked;
 use ::gltf::json::{Index, Root, Value, material};
+use serde_json::Map;
 
 use super::super::input::{Folder, read_bounded};
 use super::super::texture::{self, TextureBudget};
-use super::super::{Filter, LEAST_ALPHA, Material, ReadOptions, Texture, Wrap};
+use super::super::{
+    DIELECTRIC, Encoding, Filter, LEAST_ALPHA, Material, Physical, ReadOptions, ScaledMap, Texture,
+    Wrap,
+};
 use super::buffers::Buffers;
 use super::container::{data_uri, percent_decoded};
 
@@ -42,14 +49,18 @@ pub(super) struct Materials<'a> {
     folder: Option<&'a Folder>,
     budget: TextureBudget,
     known: HashMap<usize, (u32, TexturePlacement)>,
-    /// By image, wrapping and filter; `None` for one that cannot be had.
-    known_textures: HashMap<(usize, [Wrap; 2], Filter), Option<u32>>,
+    /// `None` for one that cannot be had.
+    known_textures: HashMap<Sampled, Option<u32>>,
     pub materials: Vec<Material>,
     pub textures: Vec<Texture>,
     pub warnings: Vec<String>,
 }
 
+/// An image and how it is read.
+type Sampled = (usize, [Wrap; 2], Filter, Encoding);
+
 /// A reference to a texture, from either material model.
+#[derive(Clone, Copy)]
 struct Reference {
     texture: usize,
     placement: TexturePlacement,
@@ -59,9 +70,18 @@ struct Reference {
 struct Surface {
     base: [f32; 4],
     texture: Option<Reference>,
-    /// At normal incidence.
-    specular: [f32; 3],
+    /// Reflectance at normal incidence of what is not metal.
+    dielectric: [f32; 3],
+    metallic: f32,
     roughness: f32,
+    map: Option<Reference>,
+}
+
+/// The maps that a document names beside those of a [`Surface`], each with the factor of what it shows.
+struct Maps {
+    normal: Option<(Reference, f32)>,
+    occlusion: Option<(Reference, f32)>,
+    emissive: Option<Reference>,
 }
 
 impl<'a> Materials<'a> {
@@ -93,8 +113,34 @@ impl<'a> Materials<'a> {
         let source = self.root.get(index)?;
         let name = source.name.clone().unwrap_or_else(|| format!("material {}", index.value()));
         let surface = specular_glossiness(source).unwrap_or_else(|| metallic_roughness(source));
-        let placement = surface.texture.as_ref().map_or_else(Default::default, |t| t.placement);
-        let texture = surface.texture.and_then(|reference| self.texture(reference.texture));
+        let unlit = source.extensions.as_ref().is_some_and(|ext| ext.unlit.is_some());
+        // Unlit materials have no other map (KHR_materials_unlit).
+        let maps = if unlit { Maps::NONE } else { Maps::of(source) };
+        let map = surface.map.filter(|_| !unlit);
+        let references = [
+            surface.texture,
+            map,
+            maps.normal.map(|own| own.0),
+            maps.occlusion.map(|own| own.0),
+            maps.emissive,
+        ];
+        let placement =
+            references.iter().flatten().next().map_or_else(Default::default, |own| own.placement);
+        let place = (name.as_str(), placement);
+        let base_texture = self.texture(surface.texture, Encoding::Srgb, place);
+        let physical = Physical {
+            metallic: surface.metallic,
+            roughness: unit(surface.roughness),
+            dielectric: surface.dielectric.map(unit),
+            map: self.texture(map, Encoding::Linear, place),
+        };
+        let mut scaled = |own: Option<(Reference, f32)>| {
+            let (reference, factor) = own?;
+            let texture = self.texture(Some(reference), Encoding::Linear, place)?;
+            Some(ScaledMap { texture, factor })
+        };
+        let (normal_map, occlusion_map) = (scaled(maps.normal), scaled(maps.occlusion));
+        let emissive_map = self.texture(maps.emissive, Encoding::Srgb, place);
         let [r, g, b, a] = surface.base.map(unit);
         let alpha_cutoff = match source.alpha_mode {
             Checked::Valid(AlphaMode::Mask) => {
@@ -103,13 +149,22 @@ impl<'a> Materials<'a> {
             Checked::Valid(AlphaMode::Blend) => Some(LEAST_ALPHA),
             _ => None,
         };
-        let unlit = source.extensions.as_ref().is_some_and(|ext| ext.unlit.is_some());
+        let base = [r, g, b];
+        let specular: [f32; 3] = std::array::from_fn(|channel| {
+            let dielectric = physical.dielectric[channel];
+            dielectric + (base[channel] - dielectric) * physical.metallic
+        });
         self.materials.push(Material {
             name,
             base_color: [r, g, b, a],
-            base_texture: texture,
-            specular: surface.specular.map(unit),
-            shininess: shininess(surface.roughness),
+            base_texture,
+            specular,
+            shininess: shininess(physical.roughness),
+            physical: (!unlit).then_some(physical),
+            emissive: if unlit { [0.0; 3] } else { emissive(source) },
+            emissive_map,
+            normal_map,
+            occlusion_map,
             double_sided: source.double_sided,
             unlit,
             alpha_cutoff,
@@ -120,8 +175,21 @@ impl<'a> Materials<'a> {
         Some(known)
     }
 
-    /// Decodes a texture, or says why not and returns `None`.
-    fn texture(&mut self, index: usize) -> Option<u32> {
+    /// Decodes a texture of a material, or says why not and returns `None`; `place`: the material's name, and how its vertices' texture
+    /// coordinates are placed.
+    fn texture(
+        &mut self,
+        reference: Option<Reference>,
+        encoding: Encoding,
+        (material, placed): (&str, TexturePlacement),
+    ) -> Option<u32> {
+        let Reference { texture: index, placement } = reference?;
+        if placement != placed {
+            self.warnings.push(format!(
+                "material {material}: texture {index} is left out: it has other texture coordinates than the material's first texture"
+            ));
+            return None;
+        }
         let Some(source) = self.root.textures.get(index) else {
             self.warnings.push(format!("texture {index} does not exist"));
             return None;
@@ -134,7 +202,7 @@ impl<'a> Materials<'a> {
         let image = image.unwrap_or(source.source.value());
         let sampler = source.sampler.and_then(|sampler| self.root.get(sampler));
         let (wrap, filter) = sampler.map_or_else(Default::default, sampling);
-        let key = (image, wrap, filter);
+        let key = (image, wrap, filter, encoding);
         if let Some(known) = self.known_textures.get(&key) {
             return *known;
         }
@@ -142,6 +210,7 @@ impl<'a> Materials<'a> {
             Ok(mut texture) => {
                 texture.wrap = wrap;
                 texture.filter = filter;
+                texture.encoding = encoding;
                 self.textures.push(texture);
                 Some(self.textures.len() as u32 - 1)
             }
@@ -189,6 +258,9 @@ impl<'a> Materials<'a> {
     }
 }
 
+/// The largest factor of light that a surface gives off.
+const MOST_EMISSIVE: f32 = 1e6;
+
 fn unit(value: f32) -> f32 {
     if value.is_finite() { value.clamp(0.0, 1.0) } else { 1.0 }
 }
@@ -201,31 +273,69 @@ pub(super) fn shininess(roughness: f32) -> f32 {
 
 fn metallic_roughness(source: &material::Material) -> Surface {
     let model = &source.pbr_metallic_roughness;
-    let base = model.base_color_factor.0;
-    let metallic = unit(model.metallic_factor.0);
-    // KHR_materials_specular scales what a dielectric reflects.
-    let extension = source.extensions.as_ref().and_then(|ext| ext.specular.as_ref());
-    let (strength, tint) = extension
+    let extensions = source.extensions.as_ref();
+    // KHR_materials_specular scales what a dielectric reflects, KHR_materials_ior says how much that is.
+    let specular = extensions.and_then(|ext| ext.specular.as_ref());
+    let (strength, tint) = specular
         .map_or((1.0, [1.0; 3]), |s| (unit(s.specular_factor.0), s.specular_color_factor.0));
-    let mut specular = [0.0; 3];
-    for channel in 0..3 {
-        let dielectric = (0.04 * tint[channel]).min(1.0) * strength;
-        specular[channel] = dielectric + (unit(base[channel]) - dielectric) * metallic;
-    }
+    let reflectance = extensions.and_then(|ext| ext.ior.as_ref()).map_or(DIELECTRIC, |own| {
+        let ior = own.ior.0;
+        ((ior - 1.0) / (ior + 1.0)).powi(2)
+    });
     Surface {
-        base,
-        texture: model
-            .base_color_texture
-            .as_ref()
-            .map(|info| Reference { texture: info.index.value(), placement: placement(info) }),
-        specular,
+        base: model.base_color_factor.0,
+        texture: model.base_color_texture.as_ref().map(reference),
+        dielectric: tint.map(|tint| unit(reflectance * tint) * strength),
+        metallic: unit(model.metallic_factor.0),
         roughness: model.roughness_factor.0,
+        map: model.metallic_roughness_texture.as_ref().map(reference),
     }
 }
 
-fn placement(info: &json_texture::Info) -> TexturePlacement {
-    let mut placement = TexturePlacement { set: info.tex_coord, ..TexturePlacement::default() };
+/// Light that the surface gives off; KHR_materials_emissive_strength lets it exceed 1.
+fn emissive(source: &material::Material) -> [f32; 3] {
+    let extensions = source.extensions.as_ref();
+    let strength = extensions
+        .and_then(|ext| ext.emissive_strength.as_ref())
+        .map_or(1.0, |own| own.emissive_strength.0);
+    let strength = if strength.is_finite() { strength.clamp(0.0, MOST_EMISSIVE) } else { 1.0 };
+    source.emissive_factor.0.map(|channel| unit(channel) * strength)
+}
+
+impl Maps {
+    const NONE: Maps = Maps { normal: None, occlusion: None, emissive: None };
+
+    fn of(source: &material::Material) -> Maps {
+        let of = |index: Index<json_texture::Texture>, set: u32, transform: Option<&Transform>| {
+            Reference { texture: index.value(), placement: placed(set, transform) }
+        };
+        let finite = |factor: f32| if factor.is_finite() { factor } else { 1.0 };
+        Maps {
+            normal: source.normal_texture.as_ref().map(|own| {
+                let transform = other_transform(own.extensions.as_ref().map(|ext| &ext.others));
+                (of(own.index, own.tex_coord, transform.as_ref()), finite(own.scale))
+            }),
+            occlusion: source.occlusion_texture.as_ref().map(|own| {
+                let transform = other_transform(own.extensions.as_ref().map(|ext| &ext.others));
+                (of(own.index, own.tex_coord, transform.as_ref()), unit(own.strength.0))
+            }),
+            emissive: source.emissive_texture.as_ref().map(reference),
+        }
+    }
+}
+
+/// KHR_texture_transform of a reference for which the `gltf` crate leaves it as JSON.
+fn other_transform(others: Option<&Map<String, Value>>) -> Option<Transform> {
+    serde_json::from_value(others?.get("KHR_texture_transform")?.clone()).ok()
+}
+
+fn reference(info: &json_texture::Info) -> Reference {
     let transform = info.extensions.as_ref().and_then(|ext| ext.texture_transform.as_ref());
+    Reference { texture: info.index.value(), placement: placed(info.tex_coord, transform) }
+}
+
+fn placed(set: u32, transform: Option<&Transform>) -> TexturePlacement {
+    let mut placement = TexturePlacement { set, ..TexturePlacement::default() };
     if let Some(transform) = transform {
         placement.set = transform.tex_coord.unwrap_or(placement.set);
         placement.offset = transform.offset.0;
@@ -248,13 +358,15 @@ fn specular_glossiness(source: &material::Material) -> Option<Surface> {
     let glossiness = model.get("glossinessFactor").and_then(number).unwrap_or(1.0);
     let texture = model.get("diffuseTexture").and_then(|info| {
         let info = serde_json::from_value::<json_texture::Info>(info.clone()).ok()?;
-        Some(Reference { texture: info.index.value(), placement: placement(&info) })
+        Some(reference(&info))
     });
     Some(Surface {
         base: base.unwrap_or([1.0; 4]),
         texture,
-        specular: specular.unwrap_or([1.0; 3]),
+        dielectric: specular.unwrap_or([1.0; 3]),
+        metallic: 0.0,
         roughness: 1.0 - unit(glossiness),
+        map: None,
     })
 }
 

@@ -2,7 +2,9 @@ use glam::{DVec3, Vec2, Vec3};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
-use super::super::{Filter, Geometry, LEAST_ALPHA, Mesh, PointCloud, Wrap, texture};
+use super::super::{
+    Encoding, Filter, Geometry, LEAST_ALPHA, Mesh, PointCloud, ScaledMap, Wrap, texture,
+};
 use super::*;
 use crate::memory::{Admission, HostMemory, Interrupt};
 
@@ -354,6 +356,61 @@ fn materials_textures_samplers_and_transforms() {
         assert!((*found - Vec2::from_array(expected)).length() < 1e-5, "{found}");
     }
     assert_eq!(mesh(&asset, 0).parts[0].material, Some(0));
+}
+
+#[test]
+fn metals_maps_and_light_of_their_own() {
+    let mut document = textured();
+    document.json["textures"] = json!([{ "source": 0 }, { "source": 0, "sampler": 0 }]);
+    let transform =
+        json!({ "offset": [0.25, 0.5], "rotation": std::f32::consts::FRAC_PI_2, "scale": [2, 3] });
+    let placed = |index: usize| json!({ "index": index, "texCoord": 1, "extensions": { "KHR_texture_transform": transform } });
+    let with = |mut own: Value, key: &str, factor: f64| {
+        own[key] = json!(factor);
+        own
+    };
+    document.json["materials"] = json!([{ "emissiveFactor": [1, 0.5, 0],
+        "emissiveTexture": placed(0),
+        "normalTexture": with(placed(0), "scale", 0.5),
+        "occlusionTexture": with(placed(1), "strength", 0.25),
+        "extensions": { "KHR_materials_emissive_strength": { "emissiveStrength": 4 }, "KHR_materials_ior": { "ior": 2 },
+            "KHR_materials_specular": { "specularFactor": 0.5, "specularColorFactor": [1, 0.5, 20] } },
+        "pbrMetallicRoughness": { "metallicFactor": 0.75, "roughnessFactor": 0.5,
+            "baseColorTexture": placed(0), "metallicRoughnessTexture": placed(1) } }]);
+    let asset = document.read().unwrap();
+    let own = &asset.materials[0];
+    let physical = own.physical.unwrap();
+    assert_eq!((physical.metallic, physical.roughness), (0.75, 0.5));
+    for (found, expected) in physical.dielectric.iter().zip([1.0 / 18.0, 1.0 / 36.0, 0.5]) {
+        assert!((found - expected).abs() < 1e-6, "{found}");
+    }
+    assert_eq!(own.emissive, [4.0, 2.0, 0.0]);
+    // Of each image and sampler one as colours and one as values.
+    let encodings: Vec<(Encoding, Filter)> =
+        asset.textures.iter().map(|own| (own.encoding, own.filter)).collect();
+    let (linear, nearest) = (Filter::Linear, Filter::Nearest);
+    assert_eq!(
+        encodings,
+        [(Encoding::Srgb, linear), (Encoding::Linear, nearest), (Encoding::Linear, linear)]
+    );
+    assert_eq!((own.base_texture, physical.map, own.emissive_map), (Some(0), Some(1), Some(0)));
+    assert_eq!(own.normal_map, Some(ScaledMap { texture: 2, factor: 0.5 }));
+    assert_eq!(own.occlusion_map, Some(ScaledMap { texture: 1, factor: 0.25 }));
+    assert!(own.varies() && own.differs() && asset.warnings.is_empty(), "{:?}", asset.warnings);
+
+    // Other texture coordinates than the first texture's.
+    document.json["materials"][0]["normalTexture"]["texCoord"] = json!(0);
+    let asset = document.read().unwrap();
+    assert_eq!(asset.materials[0].normal_map, None);
+    let warning = asset.warnings.concat();
+    assert!(warning.contains("texture 0") && warning.contains("texture coordinates"), "{warning}");
+
+    // Unlit surfaces have a colour alone.
+    document.json["materials"][0]["extensions"]["KHR_materials_unlit"] = json!({});
+    let asset = document.read().unwrap();
+    let own = &asset.materials[0];
+    assert!(own.unlit && own.physical.is_none() && !own.has_maps() && !own.varies());
+    assert_eq!((own.emissive, asset.textures.len()), ([0.0; 3], 1));
 }
 
 #[test]

@@ -8,7 +8,9 @@ use super::super::input::{Folder, read_bounded};
 use super::super::texture::{self, TextureBudget};
 use super::super::tidy::linear_from_srgb;
 use super::super::tokens::{Tokens, number};
-use super::super::{LEAST_ALPHA, Material, ReadOptions, Texture, Wrap};
+use super::super::{
+    DIELECTRIC, Encoding, LEAST_ALPHA, Material, Physical, ReadOptions, ScaledMap, Texture, Wrap,
+};
 use crate::memory::Admission;
 
 const MAX_LIBRARY_BYTES: u64 = 64 << 20;
@@ -36,15 +38,27 @@ struct Definition {
     model: Option<u32>,
     map: Option<Map>,
     has_alpha_map: bool,
+    /// `Ke`.
+    emissive: [f32; 3],
+    /// `Pm` and `Pr`, statements beside those of MTL that many programs write for the metallic-roughness model.
+    metallic: Option<f32>,
+    roughness: Option<f32>,
+    metallic_map: Option<Map>,
+    roughness_map: Option<Map>,
+    emissive_map: Option<Map>,
+    /// `norm`: normals in tangent space.
+    normal_map: Option<Map>,
 }
 
-/// `map_Kd` and its options.
+/// A map and its options.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Map {
     file: String,
     clamp: bool,
     /// Whether options were given that move or change the image.
     altered: bool,
+    /// `-bm`, the factor of bumps.
+    factor: Option<f32>,
 }
 
 /// The materials called `used`, in that order.
@@ -59,6 +73,7 @@ pub(super) fn read(
     let mut textures = Textures {
         budget: TextureBudget::new(options),
         known: HashMap::new(),
+        reflections: HashMap::new(),
         textures: Vec::new(),
         folder,
     };
@@ -164,6 +179,13 @@ impl Definition {
             b"illum" => self.model = first(tokens).map(|model| model as u32),
             b"map_kd" => self.map = Some(map(&mut tokens)),
             b"map_d" | b"map_opacity" => self.has_alpha_map = true,
+            b"ke" => self.emissive = color(tokens).unwrap_or_default(),
+            b"pm" => self.metallic = first(tokens),
+            b"pr" => self.roughness = first(tokens),
+            b"map_pm" => self.metallic_map = Some(map(&mut tokens)),
+            b"map_pr" => self.roughness_map = Some(map(&mut tokens)),
+            b"map_ke" => self.emissive_map = Some(map(&mut tokens)),
+            b"norm" => self.normal_map = Some(map(&mut tokens)),
             _ => {}
         }
     }
@@ -174,7 +196,8 @@ impl Definition {
         textures: &mut Textures,
         warnings: &mut Vec<String>,
     ) -> Material {
-        let texture = self.map.as_ref().and_then(|map| textures.load(map, warnings));
+        let texture =
+            self.map.as_ref().and_then(|map| textures.load(map, Encoding::Srgb, warnings));
         if self.has_alpha_map {
             warnings.push(format!("material {name}: its separate alpha map is ignored"));
         }
@@ -190,6 +213,34 @@ impl Definition {
             .and_then(|texture| textures.textures.get(texture as usize))
             .is_some_and(texture::has_alpha);
         let [r, g, b] = diffuse.map(linear_from_srgb);
+        let unlit = self.model == Some(0);
+        let is_physical = !unlit
+            && (self.metallic.is_some()
+                || self.roughness.is_some()
+                || self.metallic_map.is_some()
+                || self.roughness_map.is_some());
+        let reflection = if is_physical { textures.reflection(self, warnings) } else { None };
+        // Without a factor, the map alone counts.
+        let has_metal = reflection.is_some_and(|(_, has_metal)| has_metal);
+        let metallic = self.metallic.unwrap_or(if has_metal { 1.0 } else { 0.0 });
+        let physical = is_physical.then(|| Physical {
+            metallic: metallic.clamp(0.0, 1.0),
+            roughness: self.roughness.unwrap_or(1.0).clamp(0.0, 1.0),
+            dielectric: [DIELECTRIC; 3],
+            map: reflection.map(|(number, _)| number),
+        });
+        let mut load = |map: &Option<Map>, encoding| match map {
+            Some(map) if !unlit => textures.load(map, encoding, warnings),
+            _ => None,
+        };
+        let emissive_map = load(&self.emissive_map, Encoding::Srgb);
+        let normal_map = load(&self.normal_map, Encoding::Linear);
+        // Exporters write black under a map here, too.
+        let emissive = match emissive_map {
+            Some(_) if self.emissive == [0.0; 3] => [1.0; 3],
+            _ if unlit => [0.0; 3],
+            _ => self.emissive.map(|channel| linear_from_srgb(channel.clamp(0.0, 1.0))),
+        };
         // An exponent below 1 is how exporters say that there is no highlight.
         let shines = self.model.unwrap_or(2) >= 2 && self.exponent >= 1.0;
         Material {
@@ -198,7 +249,14 @@ impl Definition {
             base_texture: texture,
             specular: if shines { self.specular.map(linear_from_srgb) } else { [0.0; 3] },
             shininess: if shines { self.exponent.min(1000.0) } else { 1.0 },
-            unlit: self.model == Some(0),
+            physical,
+            emissive,
+            emissive_map,
+            normal_map: normal_map.map(|texture| ScaledMap {
+                texture,
+                factor: self.normal_map.as_ref().and_then(|map| map.factor).unwrap_or(1.0),
+            }),
+            unlit,
             // An alpha channel alone is that of a cut-out: leaves, fences.
             alpha_cutoff: match alpha < 1.0 {
                 true => Some(LEAST_ALPHA),
@@ -228,7 +286,13 @@ fn map(tokens: &mut Tokens) -> Map {
         let (numbers, words) = match option {
             b"-o" | b"-s" | b"-t" => (3, 0),
             b"-mm" => (2, 0),
-            b"-bm" | b"-boost" | b"-texres" => (1, 0),
+            b"-bm" | b"-boost" | b"-texres" => {
+                let value = ahead.clone().next().and_then(number).filter(|own| own.is_finite());
+                if option == b"-bm" {
+                    map.factor = value.map(|own| own as f32);
+                }
+                (1, 0)
+            }
             b"-clamp" | b"-blendu" | b"-blendv" | b"-cc" | b"-imfchan" | b"-type" => (0, 1),
             _ => break,
         };
@@ -249,18 +313,63 @@ fn map(tokens: &mut Tokens) -> Map {
     map
 }
 
+/// The number of a texture of roughness and metallic value, and whether it has a metallic value.
+type Reflection = (u32, bool);
+
 /// Textures that were asked for so far, each decoded once.
 struct Textures<'a> {
     budget: TextureBudget,
-    /// By file and clamping; `None` for one that cannot be had.
-    known: HashMap<(String, bool), Option<u32>>,
+    /// By file, clamping and encoding; `None` for one that cannot be had.
+    known: HashMap<(String, bool, Encoding), Option<u32>>,
+    /// By files and clamping.
+    reflections: HashMap<([String; 2], bool), Option<Reflection>>,
     textures: Vec<Texture>,
     folder: Option<&'a Folder>,
 }
 
 impl Textures<'_> {
-    fn load(&mut self, map: &Map, warnings: &mut Vec<String>) -> Option<u32> {
-        let key = (map.file.clone(), map.clamp);
+    /// The texture of a material's roughness and metallic value, from an image of grey for each, in the channels in which glTF has them.
+    fn reflection(&mut self, own: &Definition, warnings: &mut Vec<String>) -> Option<Reflection> {
+        let maps = [&own.roughness_map, &own.metallic_map];
+        let files = maps.map(|map| map.as_ref().map_or("", |map| &map.file));
+        let clamp = maps.iter().filter_map(|map| map.as_ref()).any(|map| map.clamp);
+        let key = (files.map(str::to_owned), clamp);
+        if let Some(known) = self.reflections.get(&key) {
+            return *known;
+        }
+        let mut read = |map: &Option<Map>| {
+            let read = texture::load(&map.as_ref()?.file, self.folder, &mut self.budget);
+            read.map_err(|reason| warnings.push(reason)).ok()
+        };
+        let [roughness, mut metallic] = maps.map(&mut read);
+        let size = |map: &Texture| (map.width, map.height);
+        if let (Some(one), Some(other)) = (&roughness, &metallic)
+            && size(one) != size(other)
+        {
+            warnings.push(format!(
+                "texture {} is left out: it makes one map with {} and must be as large",
+                other.name, one.name
+            ));
+            metallic = None;
+        }
+        let number = roughness.as_ref().or(metallic.as_ref()).cloned().map(|mut merged| {
+            let value =
+                |map: &Option<Texture>, at: usize| map.as_ref().map_or(255, |own| own.rgba[at][0]);
+            let texel = |at| [255, value(&roughness, at), value(&metallic, at), 255];
+            merged.rgba = (0..merged.rgba.len()).map(texel).collect();
+            merged.encoding = Encoding::Linear;
+            if clamp {
+                merged.wrap = [Wrap::Clamp; 2];
+            }
+            self.textures.push(merged);
+            (self.textures.len() as u32 - 1, metallic.is_some())
+        });
+        self.reflections.insert(key, number);
+        number
+    }
+
+    fn load(&mut self, map: &Map, encoding: Encoding, warnings: &mut Vec<String>) -> Option<u32> {
+        let key = (map.file.clone(), map.clamp, encoding);
         if let Some(known) = self.known.get(&key) {
             return *known;
         }
@@ -272,6 +381,7 @@ impl Textures<'_> {
                 if map.clamp {
                     texture.wrap = [Wrap::Clamp; 2];
                 }
+                texture.encoding = encoding;
                 self.textures.push(texture);
                 Some(self.textures.len() as u32 - 1)
             }
@@ -314,6 +424,7 @@ mod tests {
         let mut textures = Textures {
             budget: TextureBudget::new(&ReadOptions { max_texels: 0, ..ReadOptions::default() }),
             known: HashMap::new(),
+            reflections: HashMap::new(),
             textures: Vec::new(),
             folder: None,
         };
@@ -329,6 +440,60 @@ mod tests {
             assert_eq!(material(dull).specular, [0.0; 3], "{dull}");
         }
         assert!(material("illum 0").unlit);
+    }
+
+    #[test]
+    fn some_materials_are_metals() {
+        let steel = material("Kd 1 1 1\nPm 0.75\nPr 0.5");
+        let own = steel.physical.unwrap();
+        assert_eq!((own.metallic, own.roughness, own.map), (0.75, 0.5, None));
+        let rough = material("Pr 0.25").physical.unwrap();
+        assert_eq!((rough.metallic, rough.roughness), (0.0, 0.25));
+        assert_eq!(material("Pr 7\nPm -1").physical.unwrap().roughness, 1.0);
+        assert_eq!(material("Ks 1 1 1\nNs 40\nillum 2").physical, None);
+        assert_eq!(material("Pm 1\nillum 0").physical, None);
+        let ember = material("Ke 1 0 0.5\nKd 0 0 0");
+        assert_eq!(ember.emissive, [1.0, 0.0, linear_from_srgb(0.5)]);
+        assert_eq!(material("Ke 1 1 1\nillum 0").emissive, [0.0; 3]);
+        // A map that cannot be had is no factor of 1.
+        assert_eq!(material("map_Ke missing.png").emissive, [0.0; 3]);
+    }
+
+    #[test]
+    fn maps_of_roughness_and_metal_become_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let image = |name: &str, width: u32, texels: &[[u8; 4]]| {
+            std::fs::write(folder.path().join(name), texture::tests::png(width, texels)).unwrap();
+        };
+        image("rough.png", 2, &[[10, 0, 0, 255], [20, 0, 0, 255]]);
+        image("metal.png", 2, &[[255, 9, 9, 255], [0, 9, 9, 255]]);
+        image("other.png", 1, &[[50, 9, 9, 255]]);
+        let folder = Folder::of(&folder.path().join("a.obj"), &ReadOptions::default()).unwrap();
+        let read = |text: &str| {
+            let mut textures = Textures {
+                budget: TextureBudget::new(&ReadOptions::default()),
+                known: HashMap::new(),
+                reflections: HashMap::new(),
+                textures: Vec::new(),
+                folder: Some(&folder),
+            };
+            let mut warnings = Vec::new();
+            let material = one(text).material("m", &mut textures, &mut warnings);
+            (material, textures.textures, warnings)
+        };
+        let (material, textures, warnings) =
+            read("map_Pr rough.png\nmap_Pm metal.png\nnorm -bm 0.5 rough.png");
+        let own = material.physical.unwrap();
+        assert_eq!((own.metallic, own.roughness, own.map), (1.0, 1.0, Some(0)));
+        assert_eq!(textures[0].rgba, [[255, 10, 255, 255], [255, 20, 0, 255]]);
+        assert!(textures.iter().all(|texture| texture.encoding == Encoding::Linear));
+        assert_eq!(material.normal_map, Some(ScaledMap { texture: 1, factor: 0.5 }));
+        assert!(warnings.is_empty(), "{warnings:?}");
+        let (material, textures, warnings) = read("map_Pr rough.png\nmap_Pm other.png");
+        let own = material.physical.unwrap();
+        assert_eq!((own.metallic, own.map), (0.0, Some(0)));
+        assert_eq!(textures[0].rgba[0], [255, 10, 255, 255]);
+        assert!(warnings.len() == 1 && warnings[0].contains("other.png"), "{warnings:?}");
     }
 
     #[test]

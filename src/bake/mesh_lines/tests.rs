@@ -1,7 +1,7 @@
 use glam::Vec2;
 
 use super::*;
-use crate::assets::{Filter, Geometry, MeshPart, Progress, ReadOptions, Wrap};
+use crate::assets::{Encoding, Filter, Geometry, MeshPart, Progress, ReadOptions, Wrap};
 use crate::generate::trees::{TreeParameters, lines, triangles};
 
 const BOTH: AsLines = AsLines { leaves: true, branches: true, max_radius: None };
@@ -203,6 +203,7 @@ fn textures_give_ribbons_their_widths_and_colors() {
         rgba,
         wrap: [Wrap::Repeat; 2],
         filter: Filter::Linear,
+        encoding: Encoding::Srgb,
     };
     let material =
         Material { base_texture: Some(0), alpha_cutoff: Some(0.5), ..Material::default() };

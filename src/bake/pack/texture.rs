@@ -5,9 +5,9 @@ use rayon::prelude::*;
 
 use super::rgba_word;
 use crate::assets::tidy::{linear_from_srgb, srgb_byte_from_linear};
-use crate::assets::{Filter, Texture, Wrap};
+use crate::assets::{Encoding, Filter, Texture, Wrap};
 
-/// A texture with all its mip levels, largest first, as sRGB8 words.
+/// A texture with all its mip levels, largest first, as words of four bytes.
 #[derive(Clone, Debug)]
 pub struct PackedTexture {
     pub width: u32,
@@ -16,6 +16,7 @@ pub struct PackedTexture {
     /// Two bits per axis: 0 repeat, 1 mirror, 2 clamp.
     pub wrap: u32,
     pub nearest: bool,
+    pub encoding: Encoding,
     pub texels: Vec<u32>,
 }
 
@@ -43,7 +44,11 @@ impl PackedTexture {
 pub fn pack_texture(texture: &Texture) -> PackedTexture {
     let (mut width, mut height) = (texture.width as usize, texture.height as usize);
     let mut level: Vec<[u8; 4]> = texture.rgba.clone();
-    let decode: Vec<f32> = (0..256).map(|v| linear_from_srgb(v as f32 / 255.0)).collect();
+    let linear = texture.encoding == Encoding::Linear;
+    let decode: Vec<f32> = (0..256)
+        .map(|v| v as f32 / 255.0)
+        .map(|v| if linear { v } else { linear_from_srgb(v) })
+        .collect();
     let mut texels: Vec<u32> = level.iter().map(|&texel| rgba_word(texel)).collect();
     let mut levels = 1;
     while width > 1 || height > 1 {
@@ -61,7 +66,10 @@ pub fn pack_texture(texture: &Texture) -> PackedTexture {
                     }
                     sum[3] += f32::from(texel[3]);
                 }
-                let byte = |v: f32| srgb_byte_from_linear(v * 0.25);
+                let byte = |v: f32| match texture.encoding {
+                    Encoding::Srgb => srgb_byte_from_linear(v * 0.25),
+                    Encoding::Linear => (v * 0.25 * 255.0).round() as u8,
+                };
                 [byte(sum[0]), byte(sum[1]), byte(sum[2]), (sum[3] * 0.25).round() as u8]
             })
             .collect();
@@ -80,6 +88,7 @@ pub fn pack_texture(texture: &Texture) -> PackedTexture {
         levels,
         wrap: wrap(texture.wrap[0]) | wrap(texture.wrap[1]) << 2,
         nearest: texture.filter == Filter::Nearest,
+        encoding: texture.encoding,
         texels,
     }
 }
@@ -99,5 +108,6 @@ pub fn unpack_texture(packed: &PackedTexture) -> Texture {
         rgba: packed.texels.iter().take(count).map(|texel| texel.to_le_bytes()).collect(),
         wrap: [wrap(packed.wrap), wrap(packed.wrap >> 2)],
         filter: if packed.nearest { Filter::Nearest } else { Filter::default() },
+        encoding: packed.encoding,
     }
 }

@@ -5,7 +5,7 @@ use glam::{DQuat, DVec2, Vec2, Vec3};
 
 use super::super::kernels::CUTOFF;
 use super::*;
-use crate::assets::{Filter, Kernel, MeshPart, Wrap};
+use crate::assets::{Encoding, Filter, Kernel, MeshPart, Wrap};
 use crate::scene::random::SplitMix64;
 
 fn mesh(positions: Vec<DVec3>, triangles: Vec<[u32; 3]>) -> Mesh {
@@ -328,6 +328,7 @@ fn checker(size: u32) -> Texture {
         rgba: (0..65536u32).map(texel).collect(),
         wrap: [Wrap::Repeat; 2],
         filter: Filter::Linear,
+        encoding: Encoding::Srgb,
     }
 }
 

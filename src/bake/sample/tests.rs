@@ -260,6 +260,7 @@ fn colours_are_averaged_in_linear_light() {
             .collect(),
         wrap: [Wrap::Repeat; 2],
         filter: crate::assets::Filter::Linear,
+        encoding: crate::assets::Encoding::Srgb,
     };
     use crate::assets::Wrap;
     let material = Material {

@@ -173,6 +173,7 @@ mod tests {
             rgba,
             wrap: [Wrap::Repeat; 2],
             filter: crate::assets::Filter::default(),
+            encoding: crate::assets::Encoding::Srgb,
         }];
         let dark = linear_from_srgb(20.0 / 255.0);
         assert!((lightness(&textured) - 0.5 * dark).abs() < 1e-6);

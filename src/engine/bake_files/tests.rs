@@ -219,7 +219,8 @@ fn keys_cover_everything() {
         changed(mesh, &|asset| {
             let texels = vec![texel];
             let (width, height, levels, wrap) = (1, 1, 1, 0);
-            let texture = PackedTexture { width, height, levels, wrap, nearest, texels };
+            let encoding = crate::assets::Encoding::Srgb;
+            let texture = PackedTexture { width, height, levels, wrap, nearest, encoding, texels };
             asset.packed.textures.push(texture);
         });
     }

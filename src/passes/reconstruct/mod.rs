@@ -125,6 +125,7 @@ fn constants(recorder: &Recorder, walked: bool) -> Constants {
     }
     if is_lit(recorder) {
         constants.extend(super::resolve::light_constants(recorder));
+        constants.push(("MAPS", 0));
     }
     constants.extend(splat_constants(&recorder.task.reconstruction, walked));
     constants.extend(node_constants(recorder, segment));

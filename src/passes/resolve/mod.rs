@@ -37,7 +37,9 @@ pub fn light_constants(recorder: &Recorder) -> Constants {
     let mut constants = vec![
         ("SPECULAR", u32::from(looks.specular)),
         ("POINT_LIGHTS", u32::from(looks.point_lights)),
-        ("MATERIALS", u32::from(looks.overrides || looks.specular || looks.unlit)),
+        ("PHYSICAL", u32::from(looks.physical)),
+        ("EMISSIVE", u32::from(looks.emissive)),
+        ("MATERIALS", u32::from(looks.has_looked_up())),
         ("FEW_LIGHTS", if lights > FEW_LIGHTS { 0 } else { lights }),
     ];
     if let maps @ 1.. = recorder.task.maps_per_sun() {
@@ -51,7 +53,8 @@ fn choices(recorder: &Recorder) -> Choices {
     let layers = recorder.stage.is_windowed();
     let kept = !layers && recorder.task.plan.runs(Pass::WriteOutput);
     let shadows = recorder.task.shadows.is_some();
-    Choices { kept, layers, shadows, ..Choices::default() }
+    let maps = kept && recorder.scene.looks.maps;
+    Choices { kept, layers, shadows, maps, ..Choices::default() }
 }
 
 /// Override of the value that colours surfaces, where one does.
@@ -93,5 +96,6 @@ fn constants(recorder: &Recorder) -> Constants {
     };
     constants.extend(recolor_constants(recorder));
     constants.push(("TEXTURES", u32::from(looks.textures)));
+    constants.push(("MAPS", u32::from(looks.maps)));
     constants
 }

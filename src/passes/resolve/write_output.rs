@@ -8,6 +8,7 @@ use crate::passes::shaders::Choices;
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let mut constants = output_constants(recorder);
     constants.extend(recolor_constants(recorder));
+    constants.push(("MAPS", u32::from(recorder.scene.looks.maps)));
     let occlusion = recorder.task.occlusion.is_some();
     if occlusion {
         constants.push(("OCCLUSION", 1));
@@ -19,6 +20,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
         choices: Choices {
             shadows: recorder.task.shadows.is_some(),
             occlusion,
+            maps: recorder.scene.looks.maps,
             ..Choices::default()
         },
         constants,

@@ -169,7 +169,18 @@ fn records_match_the_shaders() {
             texture,
             flags,
             alpha_cutoff,
-            overrides
+            overrides,
+            dielectric,
+            metallic,
+            emissive,
+            roughness,
+            reflection_map,
+            normal_map,
+            occlusion_map,
+            emissive_map,
+            normal_scale,
+            occlusion_strength,
+            unused
         )],
     );
 }
@@ -195,7 +206,7 @@ fn lights_and_textures_match() {
     check(
         texture,
         &[mirror!(
-            "Texture", GpuTexture, first, page, width, height, levels, wrap, nearest, unused
+            "Texture", GpuTexture, first, page, width, height, levels, wrap, nearest, linear
         )],
     );
     let resolve = composed("resolve/resolve_samples", &Choices::default());

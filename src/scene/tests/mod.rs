@@ -268,6 +268,12 @@ fn refusals_beyond_nodes() {
     );
     top(r#""lights": [{"kind": "ambient", "intensity": -1}]"#, "lights[0].intensity", "outside");
     top(r#""materials": {"m": {"shininess": 0}}"#, "materials.m.shininess", "outside");
+    top(r#""materials": {"m": {"metallic": 1.5}}"#, "materials.m.metallic", "outside");
+    top(r#""materials": {"m": {"roughness": -0.1}}"#, "materials.m.roughness", "outside");
+    let both = r#""materials": {"m": {"metallic": 1, "shininess": 20}}"#;
+    top(both, "materials.m.shininess", "different models");
+    let alone = r#""materials": {"m": {"emissive_strength": 2}}"#;
+    top(alone, "materials.m.emissive_strength", "emissive");
     top(r#""cameras": {"c": {"eye": [0,0,0], "target": [0,0,0]}}"#, "cameras.c.target", "differ");
     top(
         r#""cameras": {"c": {"eye": [0,0,0], "target": [0,0,1], "fov": 180}}"#,

@@ -27,11 +27,40 @@ pub(super) fn material(name: &str, wire: &MaterialWire, place: Place<'_>) -> Val
         Some(exponent) => Some(within(exponent, 1.0, 1e6, place.key("shininess"))? as f32),
         None => None,
     };
+    let share = |value: Option<f64>, key: &str| match value {
+        Some(share) => Ok(Some(within(share, 0.0, 1.0, place.key(key))? as f32)),
+        None => Ok(None),
+    };
+    let metallic = share(wire.metallic, "metallic")?;
+    let roughness = share(wire.roughness, "roughness")?;
+    for (key, other) in [("specular", specular.is_some()), ("shininess", shininess.is_some())] {
+        if other && (metallic.is_some() || roughness.is_some()) {
+            return place.key(key).refuse(
+                "a material has `specular` and `shininess`, or `metallic` and `roughness`: they belong to different models",
+            );
+        }
+    }
+    let emissive = match (&wire.emissive, wire.emissive_strength) {
+        (Some(wire), strength) => {
+            let key = place.key("emissive_strength");
+            let strength = within(strength.unwrap_or(1.0), 0.0, LARGEST_INTENSITY, key)? as f32;
+            Some(rgb(to_linear(color(wire, place.key("emissive"))?)).map(|c| c * strength))
+        }
+        (None, Some(_)) => {
+            return place
+                .key("emissive_strength")
+                .refuse("only a material with `emissive` has one");
+        }
+        (None, None) => None,
+    };
     Ok(MaterialSpec {
         name: name.to_owned(),
         base_color,
         specular,
         shininess,
+        metallic,
+        roughness,
+        emissive,
         unlit: wire.unlit,
         double_sided: wire.double_sided,
     })

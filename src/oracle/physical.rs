@@ -1,0 +1,185 @@
+//! Metallic-roughness reflection (glTF 2.0, appendix B), from its definitions.
+
+use glam::DVec3;
+
+use crate::assets::{Material, Physical};
+
+/// Smoother surfaces reflect as this rough ones.
+const LEAST_ROUGHNESS: f64 = 0.045;
+
+/// How a surface of a metallic-roughness material reflects.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reflection {
+    pub metallic: f64,
+    pub roughness: f64,
+    /// Reflectance at normal incidence where the surface is no metal.
+    pub dielectric: [f64; 3],
+}
+
+/// What a material adds to Lambert's and Phong's models.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Details {
+    /// `None` for materials of Phong's model.
+    pub reflection: Option<Reflection>,
+    /// Light that the surface gives off.
+    pub emissive: [f64; 3],
+    /// Share of ambient light that the material's occlusion map leaves.
+    pub unoccluded: f64,
+}
+
+impl Details {
+    /// Those of a material without its maps.
+    pub fn of(material: &Material) -> Details {
+        let reflection = |own: Physical| Reflection {
+            metallic: own.metallic.into(),
+            roughness: own.roughness.into(),
+            dielectric: own.dielectric.map(f64::from),
+        };
+        Details {
+            reflection: material.physical.map(reflection),
+            emissive: material.emissive.map(f64::from),
+            unoccluded: 1.0,
+        }
+    }
+}
+
+impl Reflection {
+    /// Reflectance at normal incidence and the share of light that is scattered below the surface, of one channel.
+    fn parts(&self, albedo: f64, channel: usize) -> (f64, f64) {
+        let dielectric = self.dielectric[channel];
+        let facing = dielectric * (1.0 - self.metallic) + albedo * self.metallic;
+        (facing, albedo * (1.0 - self.metallic))
+    }
+
+    /// Light of one channel that leaves towards the eye for each unit that falls along `to_light` on a surface square to it; times π, so that white
+    /// Lambertian surfaces reflect 1. All vectors have unit length.
+    pub fn towards_eye(
+        &self,
+        albedo: f64,
+        channel: usize,
+        [normal, to_light, to_eye]: [DVec3; 3],
+    ) -> f64 {
+        let (facing, diffuse) = self.parts(albedo, channel);
+        let alpha_squared = self.roughness.max(LEAST_ROUGHNESS).powi(4);
+        let (nl, nv) = (normal.dot(to_light).max(0.0), normal.dot(to_eye).clamp(1e-4, 1.0));
+        let half = (to_light + to_eye).normalize_or_zero();
+        // Trowbridge & Reitz 1975, times π.
+        let nh = normal.dot(half);
+        let distribution = alpha_squared / (nh * nh * (alpha_squared - 1.0) + 1.0).powi(2);
+        // Heitz 2014: Smith's height-correlated masking and shadowing over 4 (n·l) (n·v).
+        let one = |cosine: f64, other: f64| {
+            cosine * (other * other * (1.0 - alpha_squared) + alpha_squared).sqrt()
+        };
+        let visibility = 0.5 / (one(nl, nv) + one(nv, nl));
+        // Schlick 1994.
+        let fresnel = facing + (1.0 - facing) * (1.0 - to_eye.dot(half).clamp(0.0, 1.0)).powi(5);
+        ((1.0 - fresnel) * diffuse + fresnel * distribution * visibility) * nl
+    }
+
+    /// Light of one channel under light of 1 from everywhere. Single scattering has Karis' fit (2014) of the reflectance over all directions, and the
+    /// rest is scattered again (Fdez-Agüera 2019).
+    pub fn of_surroundings(&self, albedo: f64, channel: usize, facing_eye: f64) -> f64 {
+        let (facing, diffuse) = self.parts(albedo, channel);
+        let [scale, bias] = fit(self.roughness, facing_eye.clamp(0.0, 1.0));
+        let single = facing * scale + bias;
+        let lost = 1.0 - scale - bias;
+        let mean = facing + (1.0 - facing) / 21.0;
+        let multiple = single * mean * lost / (1.0 - mean * lost);
+        single + multiple + diffuse * (1.0 - single - multiple)
+    }
+}
+
+/// Karis, "Physically based shading on mobile" (2014): factor and summand for the reflectance at normal incidence.
+fn fit(roughness: f64, facing_eye: f64) -> [f64; 2] {
+    let line = |slope: f64, start: f64| roughness * slope + start;
+    let [x, y] = [line(-1.0, 1.0), line(-0.0275, 0.0425)];
+    let a = (x * x).min((-9.28 * facing_eye).exp2()) * x + y;
+    [line(-0.572, 1.04) - 1.04 * a, line(0.022, -0.04) + 1.04 * a]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MIRROR: Reflection = Reflection { metallic: 1.0, roughness: 0.5, dielectric: [0.04; 3] };
+
+    fn direction(polar: f64, azimuth: f64) -> DVec3 {
+        let (sine, cosine) = polar.sin_cos();
+        DVec3::new(sine * azimuth.cos(), sine * azimuth.sin(), cosine)
+    }
+
+    /// The integral of what is reflected over all directions of light, over π.
+    fn reflectance(reflection: &Reflection, albedo: f64, facing_eye: f64) -> f64 {
+        let to_eye = direction(facing_eye.acos(), 0.0);
+        let steps = 400;
+        let mut sum = 0.0;
+        for i in 0..steps {
+            let polar = 0.5 * std::f64::consts::PI * (f64::from(i) + 0.5) / f64::from(steps);
+            for j in 0..2 * steps {
+                let azimuth = std::f64::consts::PI * (f64::from(j) + 0.5) / f64::from(steps);
+                let vectors = [DVec3::Z, direction(polar, azimuth), to_eye];
+                sum += reflection.towards_eye(albedo, 0, vectors) * polar.sin();
+            }
+        }
+        sum * 0.5 * std::f64::consts::PI / f64::from(steps * steps)
+    }
+
+    /// White metals reflect no more than they get. The standard's dielectrics do at grazing angles, where diffuse light is weighed by Fresnel's
+    /// share at the half vector alone.
+    #[test]
+    fn reflectance_is_bounded() {
+        for roughness in [0.2, 0.5, 1.0] {
+            for facing_eye in [0.1, 0.5, 1.0] {
+                for (metallic, most) in
+                    [(0.0, if facing_eye < 0.5 { 1.45 } else { 1.05 }), (1.0, 1.005)]
+                {
+                    let own = Reflection { metallic, roughness, ..MIRROR };
+                    let found = reflectance(&own, 1.0, facing_eye);
+                    assert!((0.4..most).contains(&found), "{own:?} {facing_eye}: {found}");
+                }
+            }
+        }
+    }
+
+    /// The fit of what is scattered once, against the integral of the same reflection.
+    #[test]
+    fn the_fit_is_near_the_integral() {
+        for roughness in [0.3, 0.6, 1.0] {
+            for facing_eye in [0.2, 0.6, 1.0] {
+                let own = Reflection { roughness, ..MIRROR };
+                let [scale, bias] = fit(roughness, facing_eye);
+                for albedo in [0.04, 0.5, 1.0] {
+                    let found = albedo * scale + bias;
+                    let exact = reflectance(&own, albedo, facing_eye);
+                    assert!(
+                        (found - exact).abs() < 0.1,
+                        "{roughness} {facing_eye}: {found} {exact}"
+                    );
+                }
+            }
+        }
+    }
+
+    /// In a white furnace a white metal and a white dielectric of any roughness cannot be seen.
+    #[test]
+    fn white_surfaces_vanish_in_white_surroundings() {
+        for roughness in [0.0, 0.3, 1.0] {
+            for facing_eye in [0.0, 0.4, 1.0] {
+                for metallic in [0.0, 1.0] {
+                    let own = Reflection { metallic, roughness, ..MIRROR };
+                    let found = own.of_surroundings(1.0, 0, facing_eye);
+                    assert!((found - 1.0).abs() < 1e-9, "{own:?} {facing_eye}: {found}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn reflection_is_reciprocal() {
+        let (a, b) = (direction(0.3, 0.2), direction(1.1, 2.0));
+        let own = Reflection { metallic: 0.3, ..MIRROR };
+        let forth = own.towards_eye(0.7, 1, [DVec3::Z, a, b]) / a.z;
+        let back = own.towards_eye(0.7, 1, [DVec3::Z, b, a]) / b.z;
+        assert!((forth - back).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,225 @@
+//! Metallic-roughness materials and their maps against the reference renderer.
+
+use glam::DVec3;
+use pointillist::math::View;
+use pointillist::plan::{Output, Pass, Reconstruct, Settings};
+use serde_json::{Value, json};
+
+use super::files::{Glb, Shape, picture};
+use super::stage::{Case, Frames, look};
+use super::verdict::Tolerance;
+
+const LINEAR: u32 = 9729;
+
+fn lights() -> Value {
+    json!([{ "kind": "sun", "direction": [-0.4, -1, -0.8], "intensity": 1.2 }, { "kind": "headlight", "intensity": 0.3 },
+        { "kind": "point", "position": [1.5, 1.2, 2], "range": 2, "color": "#ffcc88" },
+        { "kind": "ambient", "color": "#aaccff", "intensity": 0.4 }])
+}
+
+fn scene(glb: Glb) -> (Vec<(&'static str, Vec<u8>)>, Value) {
+    let scene = json!({ "assets": { "m": { "file": "m.glb" } }, "nodes": [{ "asset": "m" }], "lights": lights() });
+    (vec![("m.glb", glb.finish())], scene)
+}
+
+/// Balls of all roughnesses, dielectric and metallic, in perspective and in parallel.
+#[test]
+fn factors_reflect_as_the_reference_has_it() {
+    let mut glb = Glb::new();
+    for (row, metallic) in [0.0, 0.6, 1.0].into_iter().enumerate() {
+        for (column, roughness) in [0.0, 0.15, 0.4, 1.0].into_iter().enumerate() {
+            let material = glb.material(json!({ "pbrMetallicRoughness": {
+                "metallicFactor": metallic, "roughnessFactor": roughness, "baseColorFactor": [0.9, 0.6, 0.25, 1] } }));
+            let mesh = glb.mesh(&Shape::ball(40, 0.42), Some(material));
+            let place = [column as f64 - 1.5, row as f64 - 1.0, 0.0];
+            glb.node(mesh, json!({ "translation": place }));
+        }
+    }
+    let (files, scene) = scene(glb);
+    let case = Case::new("physical-factors", &files, &scene);
+    // Highlights of mirrors are as steep as normals of 16 bits an axis are coarse.
+    let tolerance = Tolerance::default();
+    case.check(&look([0.3, 0.4, 5.2], [0.0; 3], 45.0), &tolerance);
+    case.check(&super::orthographic::look([0.3, 0.4, 5.2], [0.0; 3], 4.0), &tolerance);
+}
+
+/// Bumps, rougher and smoother places, dark folds and glowing spots.
+fn maps(glb: &mut Glb) -> Value {
+    let wave = |x: u32, period: f64| (f64::from(x) * std::f64::consts::TAU / period).sin();
+    let byte = |value: f64| (127.5 + 127.5 * value).round() as u8;
+    let sampler = || json!({ "magFilter": LINEAR });
+    let bumps = picture(32, 32, |x, y| {
+        let normal =
+            DVec3::new(0.6 * wave(x, 16.0), 0.4 * wave(y, 8.0), 1.0).normalize_or(DVec3::Z);
+        [byte(normal.x), byte(normal.y), byte(normal.z), 255]
+    });
+    // Occlusion in red, roughness in green, metallic in blue.
+    let shares = picture(16, 16, |x, y| {
+        [
+            if (x / 4 + y / 4) % 2 == 0 { 80 } else { 255 },
+            (40 + 13 * x) as u8,
+            if y < 8 { 0 } else { 255 },
+            255,
+        ]
+    });
+    let glow =
+        picture(
+            16,
+            16,
+            |x, y| if x % 8 < 2 && y % 8 < 2 { [255, 120, 30, 255] } else { [0, 0, 0, 255] },
+        );
+    let colors = picture(8, 8, |x, y| [(90 + 20 * x) as u8, (200 - 15 * y) as u8, 120, 255]);
+    let bumps = glb.texture(&bumps, sampler());
+    let shares = glb.texture(&shares, sampler());
+    let glow = glb.texture(&glow, sampler());
+    let colors = glb.texture(&colors, sampler());
+    json!({ "doubleSided": true, "emissiveFactor": [1, 0.8, 0.9], "emissiveTexture": { "index": glow },
+        "normalTexture": { "index": bumps, "scale": 0.8 },
+        "occlusionTexture": { "index": shares, "strength": 0.7 },
+        "extensions": { "KHR_materials_emissive_strength": { "emissiveStrength": 1.5 } },
+        "pbrMetallicRoughness": { "baseColorTexture": { "index": colors },
+            "metallicRoughnessTexture": { "index": shares }, "roughnessFactor": 0.9, "metallicFactor": 0.8 } })
+}
+
+/// A ball and a sheet seen from the front, from behind, mirrored, and with mirrored texture coordinates.
+fn mapped(name: &str, more: Value) -> Case {
+    let mut glb = Glb::new();
+    let material = maps(&mut glb);
+    let material = glb.material(material);
+    let ball = glb.mesh(&Shape::ball(32, 0.6), Some(material));
+    let sheet = Shape::quad(DVec3::new(-0.5, -0.5, 0.0), DVec3::X, DVec3::Y, 1.0);
+    let mut turned = sheet.clone();
+    for uv in &mut turned.uvs {
+        uv[0] = -uv[0];
+    }
+    let (sheet, turned) = (glb.mesh(&sheet, Some(material)), glb.mesh(&turned, Some(material)));
+    glb.node(ball, json!({ "translation": [-1.5, 0.6, 0] }));
+    glb.node(ball, json!({ "translation": [0, 0.6, 0], "scale": [-1, 1, 1] }));
+    glb.node(sheet, json!({ "translation": [1.4, 0.6, 0] }));
+    glb.node(sheet, json!({ "translation": [-1.4, -0.7, 0], "rotation": [0, 1, 0, 0] }));
+    glb.node(turned, json!({ "translation": [0, -0.7, 0] }));
+    glb.node(sheet, json!({ "translation": [1.4, -0.7, 0], "scale": [1, -1.1, 1] }));
+    let (files, mut scene) = scene(glb);
+    for (key, value) in more.as_object().into_iter().flatten() {
+        scene[key.as_str()] = value.clone();
+    }
+    Case::new(name, &files, &scene)
+}
+
+fn front() -> View {
+    look([0.2, 0.3, 4.4], [0.0, 0.0, 0.0], 42.0)
+}
+
+#[test]
+fn maps_show_what_the_reference_shows() {
+    let case = mapped("physical-maps", json!({}));
+    case.check(&front(), &Tolerance::default());
+    case.check(&look([1.9, 0.8, 2.6], [0.2, 0.0, 0.0], 55.0), &Tolerance::default());
+    case.check(&super::orthographic::look([0.4, 0.6, 5.0], [0.0; 3], 3.4), &Tolerance::default());
+}
+
+/// Surfaces that wait for another effect keep what their maps say.
+#[test]
+fn kept_surfaces_have_their_maps() {
+    let case =
+        mapped("physical-kept", json!({ "ambient_occlusion": { "radius": 1e-6, "strength": 1 } }));
+    let frames = case.draw_with(&front(), Settings::default());
+    assert!(frames.ran(Pass::WriteOutput) && frames.ran(Pass::AmbientOcclusion));
+    let off = case.draw_with(
+        &front(),
+        Settings { ao: pointillist::plan::Effect::Off, ..Settings::default() },
+    );
+    assert!(!off.ran(Pass::WriteOutput));
+    // Shares of a byte are kept of what maps say; the radius is too short to hide anything.
+    let far = differing(&frames, &off, 3);
+    println!("{far} of {} pixels differ by more than 3 steps", frames.covered());
+    assert!(far * 500 < frames.covered(), "{far}");
+    case.check(&front(), &Tolerance::default());
+}
+
+fn differing(a: &Frames, b: &Frames, steps: u8) -> usize {
+    let pairs = a.color.iter().zip(&b.color);
+    pairs.filter(|(a, b)| (0..3).any(|channel| a[channel].abs_diff(b[channel]) > steps)).count()
+}
+
+/// Point trees keep the triangles of such surfaces: a sample has a colour and a normal alone.
+#[test]
+fn point_trees_keep_their_triangles() {
+    let case = mapped("physical-trees", json!({}));
+    let far = look([0.5, 0.5, 40.0], [0.0; 3], 20.0);
+    let trees =
+        Settings { lod: pointillist::plan::Lod::Spt, ..Settings::drawn_as(Reconstruct::Points) };
+    let full = Settings { lod: pointillist::plan::Lod::Full, ..trees };
+    let [trees, full] = [trees, full].map(|settings| case.draw_wide(&far, settings));
+    assert!(trees.covered() > 50);
+    assert_eq!(differing(&trees, &full, 0), 0);
+}
+
+/// What a node lays over a material, of either model, on triangles and on samples.
+#[test]
+fn nodes_override_reflection() {
+    let mut glb = Glb::new();
+    let phong = Shape::ball(32, 0.45);
+    let gold = glb.material(json!({ "pbrMetallicRoughness": {
+        "metallicFactor": 1, "roughnessFactor": 0.3, "baseColorFactor": [1, 0.77, 0.34, 1] } }));
+    let mesh = glb.mesh(&phong, Some(gold));
+    glb.node(mesh, json!({}));
+    let mut samples = Shape::cloud(4000, [-0.4; 3], [0.4; 3], 7);
+    samples.normals =
+        samples.positions.iter().map(|p| p.normalize_or(DVec3::Y).as_vec3()).collect();
+    let files =
+        [("gold.glb", glb.finish()), ("plain.ply", phong.ply()), ("samples.ply", samples.ply())];
+    let materials = json!({
+        "copper": { "metallic": 1, "roughness": 0.25, "color": "#d88860" },
+        "smooth": { "roughness": 0.25 },
+        "varnish": { "specular": "#ffffff", "shininess": 40 },
+        "ember": { "color": "#301008", "emissive": "#ff5010", "emissive_strength": 0.8 } });
+    let mut nodes = Vec::new();
+    for (row, asset) in ["gold", "plain", "samples"].into_iter().enumerate() {
+        for (column, material) in ["copper", "smooth", "varnish", "ember"].into_iter().enumerate() {
+            nodes.push(json!({ "asset": asset, "material": material,
+                "translate": [column as f64 - 1.5, row as f64 - 1.0, 0] }));
+        }
+    }
+    let assets = json!({ "gold": { "file": "gold.glb" }, "plain": { "file": "plain.ply" }, "samples": { "file": "samples.ply" } });
+    let scene =
+        json!({ "assets": assets, "materials": materials, "nodes": nodes, "lights": lights() });
+    let case = Case::new("physical-overrides", &files, &scene);
+    // Highlights are steep where normals of single samples lie far apart.
+    let tolerance = Tolerance { color: 5, ..Tolerance::samples() };
+    case.check(&look([0.3, 0.4, 5.2], [0.0; 3], 45.0), &tolerance);
+}
+
+/// White surfaces of any material cannot be told apart under white ambient light, metals included.
+#[test]
+fn white_surfaces_under_white_light_are_white() {
+    let ball = Shape { colors: Vec::new(), ..Shape::ball(24, 0.45) };
+    let mut glb = Glb::new();
+    for (column, (metallic, roughness)) in
+        [(0.0, 0.1), (0.0, 1.0), (1.0, 0.1), (1.0, 1.0)].into_iter().enumerate()
+    {
+        let material = glb.material(json!({ "pbrMetallicRoughness": { "metallicFactor": metallic, "roughnessFactor": roughness } }));
+        let mesh = glb.mesh(&ball, Some(material));
+        glb.node(mesh, json!({ "translation": [column as f64 - 1.5, 0, 0] }));
+    }
+    let (files, mut scene) = scene(glb);
+    scene["lights"] = json!([{ "kind": "ambient" }]);
+    let case = Case::new("physical-furnace", &files, &scene);
+    let frames = case.draw(&look([0.3, 0.4, 5.2], [0.0; 3], 45.0));
+    let shown = frames.id.iter().zip(&frames.color).filter(|(id, _)| **id != 0);
+    let least = shown.map(|(_, color)| color[0].min(color[1]).min(color[2])).min();
+    assert!(least >= Some(254), "{least:?}");
+}
+
+/// A scene whose materials have neither maps nor metal has the same bytes as with Phong's model and no highlight, whatever `normal` shows.
+#[test]
+fn normals_are_those_of_the_maps() {
+    let case = mapped("physical-normals", json!({}));
+    let [_, _, normals] = case.each(&front());
+    let flat = Shape::quad(DVec3::new(-0.5, -0.5, 0.0), DVec3::X, DVec3::Y, 1.0);
+    assert!(flat.normals.is_empty());
+    let kinds: std::collections::BTreeSet<[u8; 3]> =
+        normals.normal.iter().map(|n| [n[0], n[1], n[2]]).collect();
+    assert!(kinds.len() > 500, "{} different normals", kinds.len());
+    let _ = Output::Normal;
+}
