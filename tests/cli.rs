@@ -457,3 +457,42 @@ fn render_writes_to_standard_output() {
     let said = String::from_utf8_lossy(&generated.stderr);
     assert!(generated.status.success() && shell.path("ball.ply").exists(), "{said}");
 }
+
+/// A large image in one file, and as a pyramid of tiles whose pixels are those of the file.
+#[test]
+fn tiles_make_up_an_image() {
+    let shell = Shell::new();
+    let tiles =
+        ["tiles", "cloud.ply", "--size", "300x200", "--eye", "25,25,60", "--target", "25,25,0"];
+    assert!(shell.run(&[&tiles[..], &["-o", "a.png"]].concat()).status.success());
+    let whole = image::open(shell.path("a.png")).unwrap().into_rgba8();
+    assert_eq!(whole.dimensions(), (300, 200));
+    let render = [&["render"][..], &tiles[1..], &["-o", "b.png"]].concat();
+    assert!(shell.run(&render).status.success());
+    let frame = image::open(shell.path("b.png")).unwrap().into_rgba8();
+    let same = whole.pixels().zip(frame.pixels()).filter(|(a, b)| a == b).count();
+    assert!(same * 200 > 199 * 300 * 200, "{same} of 60000 pixels are those of a frame");
+    assert!(shell.run(&[&tiles[..], &["--tile", "64", "-o", "c.dzi"]].concat()).status.success());
+    let description = std::fs::read_to_string(shell.path("c.dzi")).unwrap();
+    assert!(description.contains("TileSize=\"64\" Overlap=\"1\" Format=\"png\""), "{description}");
+    assert!(description.contains("Width=\"300\" Height=\"200\""), "{description}");
+    // From one pixel to 512: ten levels.
+    for (level, columns, rows) in [(9, 5, 4), (8, 3, 2), (0, 1, 1)] {
+        let folder = shell.path(&format!("c_files/{level}"));
+        assert_eq!(std::fs::read_dir(&folder).unwrap().count(), columns * rows, "{level}");
+    }
+    assert!(!shell.path("c_files/10").exists());
+    let tile = image::open(shell.path("c_files/9/1_2.png")).unwrap().into_rgba8();
+    assert_eq!(tile.dimensions(), (66, 66));
+    let part = image::imageops::crop_imm(&whole, 63, 127, 66, 66).to_image();
+    let same = tile.pixels().zip(part.pixels()).filter(|(a, b)| a == b).count();
+    assert!(same * 200 > 199 * 66 * 66, "{same} of {} pixels", 66 * 66);
+    for (options, complaint) in [
+        (&["-o", "a.tiff"][..], "neither png nor dzi"),
+        (&["-o", "a.png", "--part-of", "9,9,0,0"], "--part-of"),
+        (&["-o", "a.png", "--size", "300000x4"], "262144"),
+    ] {
+        let told = shell.complaint(&[&["tiles", "cloud.ply"][..], options].concat());
+        assert!(told.contains(complaint), "{told}");
+    }
+}

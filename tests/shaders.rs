@@ -159,7 +159,7 @@ fn every_composition_is_valid() {
     // - Level 0 of pull-push: with and without clip lines, trees and scalar fields.
     // - Lists: of everything, or of trees. Others: no choices.
     let (depths, sums, single) = (12, 96, 24);
-    let over_pixels = 2 * (6 * 2 * 3 + 3 * 2 * 3 + 2 * 2 + 2 * 2 * 2) + 2 + 2;
+    let over_pixels = 2 * (6 * 2 * 3 + 3 * 2 * 3 + 2 * 3 + 2 * 2 * 2) + 2 + 2;
     let level_0 = 2 * 2 * 2;
     let lists = 3 * 2;
     let others = 22;

@@ -30,17 +30,45 @@ fn reflected_light(albedo: vec3<f32>, material: Material, n: vec3<f32>, to_light
     return mix(diffuse, vec3<f32>(distribution * visibility), fresnel) * nl;
 }
 
-// Under light that is alike from everywhere: the reflectance over all directions (Karis 2014, its analytic form), and what is scattered
-// between facets more than once (Fdez-Agüera 2019, equations 15 to 20).
+// A polynomial in the roughness, whose coefficients are cubic in 1 − n·v.
+fn polynomial(roughness: f32, u: vec4<f32>, c0: vec4<f32>, c1: vec4<f32>, c2: vec4<f32>, c3: vec4<f32>, c4: vec4<f32>) -> f32 {
+    return dot(u, c0 + roughness * (c1 + roughness * (c2 + roughness * (c3 + roughness * c4))));
+}
+
+// What the reflection of a white metal adds up to over all directions of light, and the part of it that Fresnel's term makes: fitted to
+// the integrals, see crate::oracle::physical::fit.
+fn reflectances(roughness: f32, nv: f32) -> vec2<f32> {
+    let v = 1.0 - nv;
+    let u = vec4<f32>(1.0, v, v * v, v * v * v);
+    let all = polynomial(
+        roughness,
+        u,
+        vec4<f32>(1.008, -0.012, -0.133, 0.180),
+        vec4<f32>(-0.269, -0.513, 7.245, -7.840),
+        vec4<f32>(2.066, 3.320, -40.165, 38.781),
+        vec4<f32>(-5.208, -5.971, 63.667, -56.584),
+        vec4<f32>(2.705, 3.553, -31.152, 26.215),
+    );
+    let grazing = polynomial(
+        roughness,
+        u,
+        vec4<f32>(-0.016, 0.409, -1.902, 2.443),
+        vec4<f32>(0.094, -1.954, 6.776, -5.331),
+        vec4<f32>(-0.162, 2.467, -2.663, -6.284),
+        vec4<f32>(0.088, -0.148, -10.135, 22.023),
+        vec4<f32>(-0.004, -0.781, 7.973, -12.886),
+    );
+    let bounded = clamp(all, 0.0, 1.0);
+    return vec2<f32>(bounded, clamp(grazing, 0.0, bounded));
+}
+
+// Under light that is alike from everywhere: the reflectance over all directions, and what is scattered between facets more than once
+// (Fdez-Agüera 2019, equations 15 to 20).
 fn reflected_ambient(albedo: vec3<f32>, material: Material, n: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
     let f0 = facing_reflectance(albedo, material);
-    let nv = clamp(dot(n, to_eye), 0.0, 1.0);
-    let r = material.roughness * vec4<f32>(-1.0, -0.0275, -0.572, 0.022) + vec4<f32>(1.0, 0.0425, 1.04, -0.04);
-    let a = min(r.x * r.x, exp2(-9.28 * nv)) * r.x + r.y;
-    let scale = -1.04 * a + r.z;
-    let bias = 1.04 * a + r.w;
-    let once = f0 * scale + vec3<f32>(bias);
-    let missing = 1.0 - (scale + bias);
+    let share = reflectances(clamp(material.roughness, 0.0, 1.0), clamp(dot(n, to_eye), 0.0, 1.0));
+    let once = mix(vec3<f32>(share.y), vec3<f32>(share.x), f0);
+    let missing = 1.0 - share.x;
     let mean = f0 + (vec3<f32>(1.0) - f0) / 21.0;
     let again = missing * once * mean / (vec3<f32>(1.0) - mean * missing);
     let diffuse = albedo * (1.0 - material.metallic);

@@ -15,6 +15,7 @@ pub mod pick;
 mod reference;
 pub mod render;
 pub mod serve;
+pub mod tiles;
 
 use std::process::ExitCode;
 
@@ -46,6 +47,8 @@ enum Command {
     Pick(Box<pick::PickArgs>),
     /// Draw a camera path as numbered frames or a video; a second run draws the missing frames
     Path(Box<path::PathArgs>),
+    /// Draw an image larger than a frame can be, as one PNG file or as tiles for a Deep Zoom viewer
+    Tiles(Box<tiles::TilesArgs>),
     /// Report what a scene or asset contains, how much GPU memory it needs, and which passes would draw it
     Inspect(inspect::InspectArgs),
     /// Build the point trees that --lod spt draws, and store them in the cache
@@ -71,6 +74,7 @@ pub fn run() -> anyhow::Result<ExitCode> {
         Command::Render(args) => render::run(*args),
         Command::Pick(args) => pick::run(&args),
         Command::Path(args) => path::run(*args),
+        Command::Tiles(args) => tiles::run(*args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Bake(args) => bake::run(&args),
         Command::Generate(args) => generate::run(args),

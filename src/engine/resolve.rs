@@ -12,7 +12,7 @@ use super::queue::cost::CostKey;
 use super::receipt::CameraReceipt;
 use super::resolved::{Drawing, ResolvedFrame};
 use super::state::{Adapter, EngineState};
-use super::viewpoint::{clip_region, pose};
+use super::viewpoint::{clip_region, pose, shown_part};
 use super::{EngineError, FrameRequest};
 use crate::encode::{self, EncodeError};
 use crate::math::View;
@@ -34,6 +34,8 @@ pub enum Resolution {
 /// Results of the checks of a request.
 struct Checked {
     view: View,
+    /// The view of the image that the frame is a part of, or the frame's own: what is chosen for one part is chosen for all.
+    whole: View,
     camera: CameraReceipt,
     clip: Option<ClipRegion>,
 }
@@ -226,8 +228,9 @@ fn check(
     encode::accepts(request.format, request.output).map_err(unfit_format)?;
     let clip = clip_region(loaded, &request.settings)?;
     check_field(loaded, &request.settings)?;
-    let (view, camera) = pose(loaded, request, clip.as_ref())?;
-    Ok(Checked { view, camera, clip })
+    let (whole, camera) = pose(loaded, request, clip.as_ref())?;
+    let view = shown_part(&whole, request)?;
+    Ok(Checked { view, whole, camera, clip })
 }
 
 /// Checks that the scene has the scalar field that colours samples.
@@ -324,8 +327,8 @@ fn ground(
     request: &FrameRequest,
 ) -> Result<Ground, EngineError> {
     let checked = check(state, loaded, request)?;
-    let (drawn, full_because) = with_detail(state, loaded, request, &checked.view);
-    let lacks = goal_of(loaded, &drawn, &checked.view);
+    let (drawn, full_because) = with_detail(state, loaded, request, &checked.whole);
+    let lacks = goal_of(loaded, &drawn, &checked.whole);
     Ok(Ground { checked, drawn, full_because, lacks })
 }
 
@@ -386,12 +389,12 @@ fn decide(
     loaded: &Arc<Loaded>,
     request: FrameRequest,
     (full_because, planned): (Option<String>, Option<PlannedFrame>),
-    Checked { view, camera, clip }: Checked,
+    Checked { view, whole, camera, clip }: Checked,
     (model, facts): (Arc<SceneModel>, SceneFacts),
 ) -> ResolvedFrame {
     let adapter = state.adapter();
     let Chosen { settings, auto, provisional } =
-        choose_reconstruction(state, loaded, &request, &facts, &view);
+        choose_reconstruction(state, loaded, &request, &facts, &whole);
     // Disks reach beyond their samples.
     let bounds =
         loaded.extent.bounds.grown(f64::from(loaded.model.splats.cutoff) * loaded.extent.kernel);
@@ -409,7 +412,7 @@ fn decide(
         let facts = (&facts, &adapter);
         let drawing = Drawing::new(settings, reconstruction, facts, request.output, recolor, clip);
         let lit = (&loaded.model.lights[..], &loaded.model.splats, &bounds);
-        let drawing = drawing.with_shadows(lit, &view, facts);
+        let drawing = drawing.with_shadows(lit, &whole, facts);
         Drawing { instead_because, ..drawing }
     };
     let reconstruction = Reconstruction::new(&settings, &loaded.model.splats);
@@ -424,7 +427,7 @@ fn decide(
         let accepted_px = if facts.trees { settings.accepted_px() } else { 0.0 };
         let parts = request.settings.parts();
         let accepted_px = accepted_px * parts as f32;
-        Slabs::new(splats, &loaded.extent, &view.finer(parts), accepted_px).fit()
+        Slabs::new(splats, &loaded.extent, &whole.finer(parts), accepted_px).fit()
     };
     let refused = blended.and_then(|_| no_blending(&request, &adapter)).or_else(|| {
         let too_deep = "the scene is too deep for the slabs of a single pass";

@@ -42,7 +42,39 @@ pub fn clip_region(
     Ok(Some(ClipRegion { boxes, box_from_world }))
 }
 
-/// Returns the view of a frame, and the camera for its receipt.
+/// Size of the image that the pose shows: that of the frame, or of the image that the frame is a part of.
+fn whole_size(request: &FrameRequest) -> (u32, u32) {
+    let of = request.settings.part_of;
+    of.map_or((request.width, request.height), |part| (part.width, part.height))
+}
+
+/// The part of the whole image's view that the frame shows.
+///
+/// # Errors
+/// The frame reaches beyond the image.
+pub fn shown_part(whole: &View, request: &FrameRequest) -> Result<View, EngineError> {
+    let Some(part) = request.settings.part_of else { return Ok(*whole) };
+    for (name, place, side, all) in [
+        ("columns", part.x, request.width, part.width),
+        ("rows", part.y, request.height, part.height),
+    ] {
+        if place.checked_add(side).is_none_or(|end| end > all) {
+            return Err(EngineError::BadParameter {
+                parameter: "part_of",
+                reason: format!(
+                    "the image has {all} {name}, and a frame of {side} that begins at {place} reaches beyond them"
+                ),
+                accepted: format!(
+                    "a part that lies within {} × {} pixels",
+                    part.width, part.height
+                ),
+            });
+        }
+    }
+    Ok(whole.part([part.x, part.y], [request.width, request.height]))
+}
+
+/// Returns the view of the whole image of a frame, and the camera for its receipt.
 ///
 /// # Errors
 /// A camera that the scene does not have, or that cannot be drawn.
@@ -51,9 +83,17 @@ pub fn pose(
     request: &FrameRequest,
     clip: Option<&ClipRegion>,
 ) -> Result<(View, CameraReceipt), EngineError> {
-    let (width, height) = (request.width, request.height);
+    let (width, height) = whole_size(request);
     let camera = match &request.pose {
         Pose::View(view) => {
+            if request.settings.part_of.is_some() {
+                return Err(EngineError::BadParameter {
+                    parameter: "part_of",
+                    reason: "`view` and `proj` say themselves which part of an image they show"
+                        .to_owned(),
+                    accepted: "no value, or a pose of another kind".to_owned(),
+                });
+            }
             check_view(view, request)?;
             let wanted = request.settings.projection;
             if wanted.is_some_and(|wanted| wanted != view.projection) {

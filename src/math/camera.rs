@@ -292,6 +292,13 @@ impl View {
         }
     }
 
+    /// The part of the image that begins at a column and a row and is so many pixels large.
+    #[must_use]
+    pub fn part(&self, [x, y]: [u32; 2], [width, height]: [u32; 2]) -> View {
+        let principal_px = self.principal_px - DVec2::new(f64::from(x), f64::from(y));
+        View { principal_px, width, height, ..*self }
+    }
+
     /// A view from column-major `view` (world → view, rigid) and `proj` (view → clip) matrices. Near and far planes are not used.
     ///
     /// # Errors

@@ -76,25 +76,49 @@ impl Reflection {
         ((1.0 - fresnel) * diffuse + fresnel * distribution * visibility) * nl
     }
 
-    /// Light of one channel under light of 1 from everywhere. Single scattering has Karis' fit (2014) of the reflectance over all directions, and the
-    /// rest is scattered again (Fdez-Agüera 2019).
+    /// Light of one channel under light of 1 from everywhere: what is scattered once ([`fit`]), and what is scattered again (Fdez-Agüera 2019).
     pub fn of_surroundings(&self, albedo: f64, channel: usize, facing_eye: f64) -> f64 {
         let (facing, diffuse) = self.parts(albedo, channel);
-        let [scale, bias] = fit(self.roughness, facing_eye.clamp(0.0, 1.0));
-        let single = facing * scale + bias;
-        let lost = 1.0 - scale - bias;
+        let [all, grazing] = fit(self.roughness.clamp(0.0, 1.0), facing_eye.clamp(0.0, 1.0));
+        let single = facing * all + (1.0 - facing) * grazing;
+        let lost = 1.0 - all;
         let mean = facing + (1.0 - facing) / 21.0;
         let multiple = single * mean * lost / (1.0 - mean * lost);
         single + multiple + diffuse * (1.0 - single - multiple)
     }
 }
 
-/// Karis, "Physically based shading on mobile" (2014): factor and summand for the reflectance at normal incidence.
+/// Coefficients of powers of the roughness, by rows, and of 1 − n·v, by columns.
+type Coefficients = [[f64; 4]; 5];
+
+/// Least squares over 41 × 41 places, with weights √(n·v + 0.02): off by 0.012 on average (root mean square) and by 0.04 at most where n·v is 0.1 or more.
+const ALL: Coefficients = [
+    [1.008, -0.012, -0.133, 0.180],
+    [-0.269, -0.513, 7.245, -7.840],
+    [2.066, 3.320, -40.165, 38.781],
+    [-5.208, -5.971, 63.667, -56.584],
+    [2.705, 3.553, -31.152, 26.215],
+];
+const GRAZING: Coefficients = [
+    [-0.016, 0.409, -1.902, 2.443],
+    [0.094, -1.954, 6.776, -5.331],
+    [-0.162, 2.467, -2.663, -6.284],
+    [0.088, -0.148, -10.135, 22.023],
+    [-0.004, -0.781, 7.973, -12.886],
+];
+
+/// What the reflection of a white metal adds up to over all directions of light, and the part of it that Fresnel's term makes.
 fn fit(roughness: f64, facing_eye: f64) -> [f64; 2] {
-    let line = |slope: f64, start: f64| roughness * slope + start;
-    let [x, y] = [line(-1.0, 1.0), line(-0.0275, 0.0425)];
-    let a = (x * x).min((-9.28 * facing_eye).exp2()) * x + y;
-    [line(-0.572, 1.04) - 1.04 * a, line(0.022, -0.04) + 1.04 * a]
+    let value = |coefficients: &Coefficients| -> f64 {
+        let terms = coefficients.iter().enumerate().flat_map(|(i, row)| {
+            row.iter().enumerate().map(move |(j, coefficient)| {
+                coefficient * roughness.powi(i as i32) * (1.0 - facing_eye).powi(j as i32)
+            })
+        });
+        terms.sum()
+    };
+    let all = value(&ALL).clamp(0.0, 1.0);
+    [all, value(&GRAZING).clamp(0.0, all)]
 }
 
 #[cfg(test)]
@@ -135,7 +159,7 @@ mod tests {
                 {
                     let own = Reflection { metallic, roughness, ..MIRROR };
                     let found = reflectance(&own, 1.0, facing_eye);
-                    assert!((0.4..most).contains(&found), "{own:?} {facing_eye}: {found}");
+                    assert!((0.3..most).contains(&found), "{own:?} {facing_eye}: {found}");
                 }
             }
         }
@@ -147,12 +171,12 @@ mod tests {
         for roughness in [0.3, 0.6, 1.0] {
             for facing_eye in [0.2, 0.6, 1.0] {
                 let own = Reflection { roughness, ..MIRROR };
-                let [scale, bias] = fit(roughness, facing_eye);
+                let [all, grazing] = fit(roughness, facing_eye);
                 for albedo in [0.04, 0.5, 1.0] {
-                    let found = albedo * scale + bias;
+                    let found = albedo * all + (1.0 - albedo) * grazing;
                     let exact = reflectance(&own, albedo, facing_eye);
                     assert!(
-                        (found - exact).abs() < 0.1,
+                        (found - exact).abs() < 0.05,
                         "{roughness} {facing_eye}: {found} {exact}"
                     );
                 }

@@ -16,9 +16,10 @@ use serde::Serialize;
 pub use reconstruction::Reconstruction;
 pub use settings::{
     Antialias, Background, Choice, ColorBound, ColorBy, Edl, EdlRadius, EdlStrength, Effect,
-    ErrorMode, Extent, Given, LineWidth, Lod, MaxError, Output, PointSize, PointSizePx,
-    Reconstruct, Rule, Setting, SettingError, SettingKind, Settings, ShadowPx, Shadows, StillFrame,
-    Trade, TradeOff, UsedSettings, UsedSplats, Wait, declared, trade_offs,
+    ErrorMode, Extent, Given, ImagePart, LineWidth, Lod, MOST_WHOLE_PX, MaxError, Output,
+    PointSize, PointSizePx, Reconstruct, Rule, Setting, SettingError, SettingKind, Settings,
+    ShadowPx, Shadows, StillFrame, Trade, TradeOff, UsedSettings, UsedSplats, Wait, declared,
+    trade_offs,
 };
 
 pub(crate) use table::pass_table;

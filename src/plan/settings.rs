@@ -20,6 +20,7 @@ mod effects;
 mod finer;
 mod goal;
 mod numbers;
+mod part;
 mod shadows;
 mod text;
 mod trades;
@@ -35,6 +36,7 @@ pub use numbers::{
     Budget, ColorBound, EdlRadius, EdlStrength, LineWidth, MaxError, MinPsnr, PointSize,
     PointSizePx,
 };
+pub use part::{ImagePart, MOST_WHOLE_PX};
 pub use shadows::{ShadowPx, Shadows};
 pub use trades::{Extent, Trade, TradeOff, trade_offs};
 pub use used::{UsedSettings, UsedSplats};
@@ -193,6 +195,11 @@ settings! {
     /// target. The default view fills the frame.
     projection: Projection => Option<Projection> {
         label: "Projection", kind: SettingKind::scenes::<Projection>(), needs: [], useful_with: []
+    }
+    /// Size of an image, and the place of the frame's first pixel in it: `WIDTH,HEIGHT,X,Y`. The frame is that part of the image. The pose, the
+    /// level of detail and the shadow maps are those of the whole image, so that parts fit together.
+    part_of: ImagePart => Option<ImagePart> {
+        label: "Part of image", kind: ImagePart::kind(), needs: [], useful_with: []
     }
     /// Boxes that the scene is clipped with, separated by `;`. `x,y,z,x,y,z` is a box's least and largest corner, and `*` leaves a bound open.
     /// Plain boxes keep their inside, and `outside:` boxes remove their inside. Without plain boxes, everything else stays.

@@ -25,6 +25,7 @@ mod lines;
 mod loss;
 mod memory;
 mod paging;
+mod parts;
 mod picks;
 mod pipelines;
 mod planner;

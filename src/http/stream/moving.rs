@@ -77,7 +77,8 @@ pub fn wanted(
         return Ok(Wanted { request: still, quality, scale: 1.0 });
     }
     let least = f64::from(LEAST_SIDE) / f64::from(still.width.min(still.height));
-    let scale = pace.scale.max(least).min(1.0);
+    // A part of a larger image has its size from the place that it takes there.
+    let scale = if still.settings.is_part() { 1.0 } else { pace.scale.max(least).min(1.0) };
     let side = |full: u32| ((f64::from(full) * scale).round() as u32).clamp(1, full);
     let smaller =
         FrameParams { w: Some(side(still.width)), h: Some(side(still.height)), ..params.clone() };

@@ -36,7 +36,7 @@ impl Settings {
             line_width_px: self.line_width_px.times(scale),
             edl_radius_px: self.edl_radius_px.times(scale),
             background,
-            ..*self
+            ..self.of_part_times(parts)
         }
     }
 

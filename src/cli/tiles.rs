@@ -1,0 +1,282 @@
+//! `pointillist tiles`: draws an image that is larger than a frame can be, in parts that fit together, and writes it as one PNG file or as tiles
+//! for a Deep Zoom viewer.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail, ensure};
+use clap::Args;
+use png::{BitDepth, ColorType, Encoder, SrgbRenderingIntent};
+
+use super::frame::{DrawArgs, PoseArgs};
+use super::local::{SceneArgs, progress_bar};
+use super::out::say;
+use crate::encode::{FrameImage, ImageFormat, encode};
+use crate::engine::{Engine, FrameRequest};
+use crate::plan::{ImagePart, MOST_WHOLE_PX};
+
+/// Options of `pointillist tiles`.
+#[derive(Args, Clone, Debug)]
+pub struct TilesArgs {
+    #[command(flatten)]
+    scene: SceneArgs,
+    /// Image to write: NAME.png for one file, NAME.dzi for a pyramid of tiles in NAME_files/ (Deep Zoom)
+    #[arg(short = 'o', long = "out", value_name = "FILE")]
+    file: PathBuf,
+    #[command(flatten)]
+    pose: PoseArgs,
+    #[command(flatten)]
+    draw: DrawArgs,
+    /// Side of a tile of NAME.dzi in pixels, without its border
+    #[arg(long, value_name = "PX", default_value_t = 510, value_parser = clap::value_parser!(u32).range(64..=4096))]
+    tile: u32,
+}
+
+/// Sides of the frames that are drawn, and what is drawn around each and cut off again: effects look at neighbouring pixels, and pull-push at squares of
+/// powers of two, which begin at multiples of this.
+const FRAME_PX: [u32; 2] = [2048, 1024];
+const MARGIN_PX: u32 = 64;
+/// Pixels that neighbouring tiles share on each side, as viewers expect it.
+const OVERLAP_PX: u32 = 1;
+
+/// Draws the image and writes it.
+///
+/// # Errors
+/// The scene, pose or size is refused, there is no GPU, or a file cannot be written.
+pub fn run(args: TilesArgs) -> anyhow::Result<()> {
+    super::local::init_log();
+    let request = args.draw.request(args.pose.pose(args.scene.up()))?;
+    let (width, height) = (request.width, request.height);
+    ensure!(
+        width.max(height) <= MOST_WHOLE_PX,
+        "--size: {width}x{height} is too large; accepted: up to {MOST_WHOLE_PX} pixels a side"
+    );
+    ensure!(request.settings.part_of.is_none(), "--part-of: this command chooses the parts itself");
+    let extension = args.file.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    let (engine, info) = args.scene.load(|_| ())?;
+    for warning in &info.warnings {
+        say!("warning: {warning}");
+    }
+    let first = Whole {
+        engine: &engine,
+        request: FrameRequest { width: 1, height: 1, ..request.clone() },
+        size: [width, height],
+    };
+    super::path::bake(&engine, &first.part([0, 0], [1, 1]))?;
+    match &*extension {
+        "png" => write_png(&Whole { request, ..first }, &args.file),
+        "dzi" => write_pyramid(&engine, &request, &args.file, args.tile),
+        other => bail!("{}: `{other}` is neither png nor dzi", args.file.display()),
+    }
+}
+
+/// An image, drawn part by part.
+struct Whole<'a> {
+    engine: &'a Engine,
+    request: FrameRequest,
+    size: [u32; 2],
+}
+
+/// Pixels of a part, RGBA with straight alpha, row by row.
+struct Sheet {
+    at: [u32; 2],
+    size: [u32; 2],
+    rgba: Vec<[u8; 4]>,
+}
+
+impl Whole<'_> {
+    fn part(&self, [x, y]: [u32; 2], [width, height]: [u32; 2]) -> FrameRequest {
+        let part = ImagePart { width: self.size[0], height: self.size[1], x, y };
+        let mut request =
+            FrameRequest { width, height, format: ImageFormat::Raw, ..self.request.clone() };
+        request.settings.part_of = Some(part);
+        request
+    }
+
+    /// Draws a part with what is around it, and cuts that off.
+    fn sheet(&self, at: [u32; 2], size: [u32; 2]) -> anyhow::Result<Sheet> {
+        let [begin, end]: [[u32; 2]; 2] = [
+            std::array::from_fn(|axis| at[axis].saturating_sub(MARGIN_PX) / MARGIN_PX * MARGIN_PX),
+            std::array::from_fn(|axis| (at[axis] + size[axis] + MARGIN_PX).min(self.size[axis])),
+        ];
+        let drawn = [end[0] - begin[0], end[1] - begin[1]];
+        let frame = self.engine.submit(self.part(begin, drawn))?.wait()?;
+        let (pixels, _) = frame.bytes.as_chunks::<4>();
+        ensure!(
+            pixels.len() == (drawn[0] * drawn[1]) as usize,
+            "a frame of another size was drawn"
+        );
+        let rows = pixels.chunks_exact(drawn[0] as usize).skip((at[1] - begin[1]) as usize);
+        let from = (at[0] - begin[0]) as usize;
+        let rgba = rows.take(size[1] as usize).flat_map(|row| &row[from..from + size[0] as usize]);
+        Ok(Sheet { at, size, rgba: rgba.copied().collect() })
+    }
+
+    /// The places and sizes of parts that cover the image, row by row; each is drawn as one frame.
+    fn sheets(&self, step: [u32; 2]) -> impl Iterator<Item = ([u32; 2], [u32; 2])> {
+        let [width, height] = self.size;
+        let rows = (0..height).step_by(step[1] as usize);
+        rows.flat_map(move |y| {
+            (0..width)
+                .step_by(step[0] as usize)
+                .map(move |x| ([x, y], [step[0].min(width - x), step[1].min(height - y)]))
+        })
+    }
+}
+
+/// Net size of the parts of an image without tiles.
+fn plain_step() -> [u32; 2] {
+    FRAME_PX.map(|side| side - 2 * MARGIN_PX)
+}
+
+fn write_png(whole: &Whole, path: &Path) -> anyhow::Result<()> {
+    let [width, height] = whole.size;
+    let file =
+        File::create(path).with_context(|| format!("{} cannot be written", path.display()))?;
+    let mut encoder = Encoder::new(BufWriter::new(file), width, height);
+    encoder.set_color(ColorType::Rgba);
+    encoder.set_depth(BitDepth::Eight);
+    encoder.set_source_srgb(SrgbRenderingIntent::RelativeColorimetric);
+    let mut header = encoder.write_header()?;
+    let mut stream = header.stream_writer()?;
+    let sheets: Vec<_> = whole.sheets(plain_step()).collect();
+    let bar = progress_bar();
+    bar.set_message("drawing");
+    let mut drawn = 0;
+    for row in sheets.chunk_by(|a, b| a.0[1] == b.0[1]) {
+        let rows = row[0].1[1] as usize;
+        let mut band = vec![[0u8; 4]; width as usize * rows];
+        for &(at, size) in row {
+            let sheet = whole.sheet(at, size)?;
+            for (y, line) in sheet.rgba.chunks_exact(size[0] as usize).enumerate() {
+                let first = y * width as usize + at[0] as usize;
+                band[first..first + line.len()].copy_from_slice(line);
+            }
+            drawn += 1;
+            bar.set_position(1000 * drawn / sheets.len() as u64);
+        }
+        stream.write_all(band.as_flattened())?;
+    }
+    stream.finish()?;
+    bar.finish_and_clear();
+    say!("{}: {width} × {height} pixels in {drawn} parts", path.display());
+    Ok(())
+}
+
+/// The sizes of a Deep Zoom pyramid, from one pixel to the whole image; each is half the next, rounded up.
+fn levels(size: [u32; 2]) -> Vec<[u32; 2]> {
+    let mut levels = vec![size];
+    while let Some(last) = levels.last().filter(|size| size[0].max(size[1]) > 1) {
+        levels.push(last.map(|side| side.div_ceil(2)));
+    }
+    levels.reverse();
+    levels
+}
+
+fn write_pyramid(
+    engine: &Engine,
+    request: &FrameRequest,
+    path: &Path,
+    tile: u32,
+) -> anyhow::Result<()> {
+    let size = [request.width, request.height];
+    let stem = path.file_stem().context("the image has no name")?.to_string_lossy();
+    let folder = path.with_file_name(format!("{stem}_files"));
+    let unwritable = |path: &Path| format!("{} cannot be written", path.display());
+    // Whole tiles for each frame.
+    let step = plain_step().map(|side| (side / tile).max(1) * tile);
+    let levels = levels(size);
+    let of = |size| Whole { engine, request: request.clone(), size };
+    let all: usize = levels.iter().map(|&size| of(size).sheets(step).count()).sum();
+    let bar = progress_bar();
+    bar.set_message("drawing");
+    let (mut drawn, mut files) = (0, 0);
+    for (level, &size) in levels.iter().enumerate() {
+        let whole = of(size);
+        let place = folder.join(level.to_string());
+        std::fs::create_dir_all(&place).with_context(|| unwritable(&place))?;
+        for (at, net) in whole.sheets(step) {
+            // With the border that the outer tiles share with their neighbours.
+            let begin = at.map(|side| side.saturating_sub(OVERLAP_PX));
+            let end: [u32; 2] =
+                std::array::from_fn(|axis| (at[axis] + net[axis] + OVERLAP_PX).min(size[axis]));
+            let sheet = whole.sheet(begin, [end[0] - begin[0], end[1] - begin[1]])?;
+            for y in (at[1]..at[1] + net[1]).step_by(tile as usize) {
+                for x in (at[0]..at[0] + net[0]).step_by(tile as usize) {
+                    let file = place.join(format!("{}_{}.png", x / tile, y / tile));
+                    let image = sheet.tile([x, y], tile, size);
+                    let encoded = encode(&image, ImageFormat::Png, 100)?;
+                    std::fs::write(&file, &encoded.bytes).with_context(|| unwritable(&file))?;
+                    files += 1;
+                }
+            }
+            drawn += 1;
+            bar.set_position(1000 * drawn as u64 / all as u64);
+        }
+    }
+    std::fs::write(path, description(size, tile)).with_context(|| unwritable(path))?;
+    bar.finish_and_clear();
+    say!(
+        "{}: {} × {} pixels, {} levels, {files} tiles in {}",
+        path.display(),
+        size[0],
+        size[1],
+        levels.len(),
+        folder.display()
+    );
+    Ok(())
+}
+
+impl Sheet {
+    /// A tile with its border, as far as the image reaches.
+    fn tile(&self, [x, y]: [u32; 2], tile: u32, image: [u32; 2]) -> FrameImage {
+        let span = |first: u32, axis: usize| {
+            let begin = first.saturating_sub(OVERLAP_PX);
+            let end = (first + tile + OVERLAP_PX).min(image[axis]);
+            (
+                (begin - self.at[axis]) as usize,
+                (end - begin).min(self.at[axis] + self.size[axis] - begin),
+            )
+        };
+        let ((left, width), (top, height)) = (span(x, 0), span(y, 1));
+        let rows = self.rgba.chunks_exact(self.size[0] as usize).skip(top).take(height as usize);
+        let rgba = rows.flat_map(|row| row[left..left + width as usize].iter().copied()).collect();
+        FrameImage::Color { width, height, rgba }
+    }
+}
+
+/// The file that describes a pyramid (Microsoft, Deep Zoom File Format, 2008).
+fn description([width, height]: [u32; 2], tile: u32) -> String {
+    format!(
+        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<Image xmlns=\"http://schemas.microsoft.com/deepzoom/2008\" TileSize=\"{tile}\" Overlap=\"{OVERLAP_PX}\" Format=\"png\">\n  <Size Width=\"{width}\" Height=\"{height}\"/>\n</Image>\n"
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn levels_halve_down_to_one_pixel() {
+        assert_eq!(levels([5, 3]), [[1, 1], [2, 1], [3, 2], [5, 3]]);
+        assert_eq!(levels([1, 1]), [[1, 1]]);
+        assert_eq!(levels([65536, 1]).len(), 17);
+    }
+
+    #[test]
+    fn tiles_overlap_by_a_pixel_and_end_with_the_image() {
+        let image = [7, 5];
+        let rgba = (0..35u8).map(|i| [i; 4]).collect();
+        let sheet = Sheet { at: [0, 0], size: image, rgba };
+        let of = |at: [u32; 2]| match sheet.tile(at, 4, image) {
+            FrameImage::Color { width, height, rgba } => {
+                (width, height, rgba[0][0], rgba[rgba.len() - 1][0])
+            }
+            _ => panic!("no colours"),
+        };
+        assert_eq!(of([0, 0]), (5, 5, 0, 32));
+        assert_eq!(of([4, 0]), (4, 5, 3, 34));
+        assert_eq!(of([4, 4]), (4, 2, 24, 34));
+    }
+}
