@@ -464,10 +464,14 @@ fn tiles_make_up_an_image() {
     let shell = Shell::new();
     let tiles =
         ["tiles", "cloud.ply", "--size", "300x200", "--eye", "25,25,60", "--target", "25,25,0"];
-    assert!(shell.run(&[&tiles[..], &["-o", "a.png"]].concat()).status.success());
+    // Frames of 200,000 pixels at most have parts of some 300 × 190.
+    let tiles = [&tiles[..], &["--max-pixels", "80000", "--max-side", "320"]].concat();
+    let told =
+        String::from_utf8(shell.run(&[&tiles[..], &["-o", "a.png"]].concat()).stderr).unwrap();
+    assert!(told.contains("300 × 200 pixels in 12 parts"), "{told}");
     let whole = image::open(shell.path("a.png")).unwrap().into_rgba8();
     assert_eq!(whole.dimensions(), (300, 200));
-    let render = [&["render"][..], &tiles[1..], &["-o", "b.png"]].concat();
+    let render = [&["render"][..], &tiles[1..8], &["-o", "b.png"]].concat();
     assert!(shell.run(&render).status.success());
     let frame = image::open(shell.path("b.png")).unwrap().into_rgba8();
     let same = whole.pixels().zip(frame.pixels()).filter(|(a, b)| a == b).count();
@@ -482,13 +486,23 @@ fn tiles_make_up_an_image() {
         assert_eq!(std::fs::read_dir(&folder).unwrap().count(), columns * rows, "{level}");
     }
     assert!(!shell.path("c_files/10").exists());
-    let tile = image::open(shell.path("c_files/9/1_2.png")).unwrap().into_rgba8();
+    // A smaller image takes the place of the old one as a whole; what is not ours stays.
+    let smaller = ["tiles", "cloud.ply", "--size", "20x20", "-o", "c.dzi"];
+    let kept = shell.path("c_files/9/1_2.png");
+    let tile = image::open(&kept).unwrap().into_rgba8();
+    assert!(shell.run(&smaller).status.success());
+    assert!(!kept.exists() && shell.path("c_files/5/0_0.png").exists());
+    std::fs::write(shell.path("c_files/notes"), "mine").unwrap();
+    assert!(shell.complaint(&smaller).contains("notes"));
+    assert!(shell.path("c_files/5/0_0.png").exists());
     assert_eq!(tile.dimensions(), (66, 66));
     let part = image::imageops::crop_imm(&whole, 63, 127, 66, 66).to_image();
     let same = tile.pixels().zip(part.pixels()).filter(|(a, b)| a == b).count();
     assert!(same * 200 > 199 * 66 * 66, "{same} of {} pixels", 66 * 66);
     for (options, complaint) in [
-        (&["-o", "a.tiff"][..], "neither png nor dzi"),
+        (&["-o", "a.tiff"][..], "neither with .png nor with .dzi"),
+        (&["-o", "c.dzi", "--max-pixels", "90000"], "--tile"),
+        (&["-o", "c.dzi", "--max-pixels", "9000"], "--max-pixels"),
         (&["-o", "a.png", "--part-of", "9,9,0,0"], "--part-of"),
         (&["-o", "a.png", "--size", "300000x4"], "262144"),
     ] {

@@ -128,7 +128,7 @@ fn resolve(column: Column) {
     surface.color = recoloured(surface, column.at);
     let direction = select(tangent, surface.normal, RIBBONS);
     if SHADED && (material.flags & MATERIAL_UNLIT) == 0u && (!RIBBONS || any(direction != vec3<f32>(0.0))) {
-        surface.color = line_lights(surface.color, material, direction, place_of(surface, column.at)) + emitted(material);
+        surface.color = toned(line_lights(surface.color, material, direction, place_of(surface, column.at)) + emitted(material));
     }
     finish_lit(column.pixel, column.at, surface);
 }

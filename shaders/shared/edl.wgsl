@@ -1,5 +1,5 @@
 // Eye-dome lighting (Boucheny 2009, §4): a pixel is the darker, the farther its neighbours stand before it. Distances count by their
-// ratio, and in orthographic views differences by the height of the view, so that the effect does not depend on the scene's unit.
+// ratio, and in orthographic views differences by the height of the image that the view is a part of, so that the effect does not depend on the scene's unit.
 const EDL_NEIGHBOURS: u32 = 8u;
 // How steeply light falls with the ratio's logarithm; as in Potree, so that strengths mean the same.
 const EDL_STEEPNESS: f32 = 300.0;
@@ -12,7 +12,7 @@ fn eye_dome(at: vec2<u32>, inverse_depth: f32) -> f32 {
     let diagonal = 0.70710678 * frame.edl.y;
     let own = log2(inverse_depth);
     // Units of a logarithm for each unit of depth: as in perspective where the view is as high as it is far away.
-    let steps = 1.442695 * frame.focal_px.y / f32(frame.size_px.y);
+    let steps = 1.442695 * frame.focal_px.y / frame.image_height;
     var before = 0.0;
     var least = EDL_MOST;
     for (var k = 0u; k < EDL_NEIGHBOURS; k++) {

@@ -103,8 +103,12 @@ struct Frame {
     line_radius: f32,
     // Painted splats that there is room for.
     paint_capacity: u32,
+    // Factor of the light that surfaces reflect and give off.
+    exposure: f32,
     // Ambient occlusion: its radius in scene units, and its strength.
     occlusion: vec2<f32>,
+    // Height in pixels of the image that the view is a part of, or the view's own.
+    image_height: f32,
     // Fog: its linear colour, and its density for each unit; the height above its base of a place in camera space, in scale heights, as a product
     // with the first three numbers plus the last.
     fog: vec4<f32>,

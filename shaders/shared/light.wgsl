@@ -43,7 +43,7 @@ fn lit_color(surface: Surface, at: vec2<u32>) -> vec3<f32> {
     }
     let place = place_of(surface, at);
     if surface.is_ball {
-        return ball_lights(surface.color, material, place) + emitted(material);
+        return toned(ball_lights(surface.color, material, place) + emitted(material));
     }
-    return all_lights(surface.color, material, octahedral_decode(packed), place) + emitted(material);
+    return toned(all_lights(surface.color, material, octahedral_decode(packed), place) + emitted(material));
 }

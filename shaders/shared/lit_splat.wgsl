@@ -15,7 +15,7 @@ fn lit(color: vec3<f32>, normal: vec3<f32>, ball: bool, over_plus_one: u32, slot
     }
     let place = from_origin(camera_place(splat_centre(slot, sample)));
     if ball {
-        return clamp(ball_lights(color, material, place) + emitted(material), vec3<f32>(0.0), vec3<f32>(1.0));
+        return clamp(toned(ball_lights(color, material, place) + emitted(material)), vec3<f32>(0.0), vec3<f32>(1.0));
     }
-    return clamp(all_lights(color, material, normal, place) + emitted(material), vec3<f32>(0.0), vec3<f32>(1.0));
+    return clamp(toned(all_lights(color, material, normal, place) + emitted(material)), vec3<f32>(0.0), vec3<f32>(1.0));
 }

@@ -23,7 +23,9 @@ struct Material {
     emissive_map: u32,
     normal_scale: f32,
     occlusion_strength: f32,
-    unused: vec2<u32>,
+    // Reflectance at grazing angles where the surface is no metal.
+    grazing: f32,
+    unused: u32,
 }
 
 // Some material has maps beside that of its colour.

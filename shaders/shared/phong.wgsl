@@ -1,6 +1,7 @@
 // Reflection over all lights of a scene: Phong's model, or that of a physical material.
 //!include SHADOWS
 //!include shared/physical
+//!include shared/tone
 struct Light {
     // 0 ambient, 1 headlight, 2 sun, 3 point.
     kind: u32,

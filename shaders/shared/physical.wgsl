@@ -9,6 +9,11 @@ fn facing_reflectance(albedo: vec3<f32>, material: Material) -> vec3<f32> {
     return mix(material.dielectric, albedo, material.metallic);
 }
 
+// At grazing angles.
+fn grazing_reflectance(material: Material) -> f32 {
+    return mix(material.grazing, 1.0, material.metallic);
+}
+
 fn reflected_light(albedo: vec3<f32>, material: Material, n: vec3<f32>, to_light: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
     let f0 = facing_reflectance(albedo, material);
     let roughness = max(material.roughness, LEAST_ROUGHNESS);
@@ -21,11 +26,12 @@ fn reflected_light(albedo: vec3<f32>, material: Material, n: vec3<f32>, to_light
     // 1 − (n·h)² as a cross product: the difference would lose what narrow lobes consist of.
     let nh = dot(n, h);
     let across = cross(n, h);
-    let spread = squared * nh * nh + dot(across, across);
-    let distribution = squared / max(spread * spread, 1e-20);
+    // No less than at the middle of the lobe, also where light and eye are opposite and there is no half vector.
+    let spread = max(squared * nh * nh + dot(across, across), squared);
+    let distribution = squared / (spread * spread);
     let visibility = 0.5 / (nl * sqrt(nv * nv * (1.0 - squared) + squared) + nv * sqrt(nl * nl * (1.0 - squared) + squared));
     let m = 1.0 - clamp(dot(to_eye, h), 0.0, 1.0);
-    let fresnel = f0 + (vec3<f32>(1.0) - f0) * (m * m * m * m * m);
+    let fresnel = f0 + (vec3<f32>(grazing_reflectance(material)) - f0) * (m * m * m * m * m);
     let diffuse = albedo * (1.0 - material.metallic);
     return mix(diffuse, vec3<f32>(distribution * visibility), fresnel) * nl;
 }
@@ -67,9 +73,10 @@ fn reflectances(roughness: f32, nv: f32) -> vec2<f32> {
 fn reflected_ambient(albedo: vec3<f32>, material: Material, n: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
     let f0 = facing_reflectance(albedo, material);
     let share = reflectances(clamp(material.roughness, 0.0, 1.0), clamp(dot(n, to_eye), 0.0, 1.0));
-    let once = mix(vec3<f32>(share.y), vec3<f32>(share.x), f0);
+    let f90 = vec3<f32>(grazing_reflectance(material));
+    let once = f0 * (share.x - share.y) + f90 * share.y;
     let missing = 1.0 - share.x;
-    let mean = f0 + (vec3<f32>(1.0) - f0) / 21.0;
+    let mean = f0 + (f90 - f0) / 21.0;
     let again = missing * once * mean / (vec3<f32>(1.0) - mean * missing);
     let diffuse = albedo * (1.0 - material.metallic);
     return once + again + diffuse * (vec3<f32>(1.0) - once - again);

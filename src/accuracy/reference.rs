@@ -135,6 +135,7 @@ impl Reference {
             edl: None,
             fog: self.description.fog,
             occlusion: self.description.occlusion,
+            tone: None,
         }
     }
 

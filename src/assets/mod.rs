@@ -291,12 +291,23 @@ pub struct Physical {
     pub roughness: f32,
     /// Reflectance at normal incidence where the surface is not metallic, linear RGB.
     pub dielectric: [f32; 3],
+    /// Reflectance at grazing angles there, 1 but for KHR_materials_specular.
+    pub grazing: f32,
     /// Index into [`Asset::textures`]; green is a factor of the roughness, blue of the metallic value.
     pub map: Option<u32>,
 }
 
 /// Reflectance at normal incidence of most dielectrics: that of an index of refraction of 1.5.
 pub const DIELECTRIC: f32 = 0.04;
+
+impl Default for Physical {
+    fn default() -> Self {
+        Self { metallic: 0.0, roughness: 1.0, dielectric: [DIELECTRIC; 3], grazing: 1.0, map: None }
+    }
+}
+
+/// The largest factor of light that a surface gives off.
+pub const MOST_EMISSIVE: f32 = 1e6;
 
 /// A texture of data, and how much it counts.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -310,7 +321,7 @@ impl Material {
     /// Whether maps say from place to place how its surface reflects, or what light the surface gives off.
     pub fn varies(&self) -> bool {
         let reflects = self.physical.is_some_and(|own| own.map.is_some());
-        reflects || (self.emissive_map.is_some() && self.emissive != [0.0; 3])
+        reflects || self.emissive_map.is_some()
     }
 
     /// Whether a surface of its colour looks otherwise under another material: it is a metal, gives off light or is not lit.

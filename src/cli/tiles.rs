@@ -1,7 +1,6 @@
 //! `pointillist tiles`: draws an image that is larger than a frame can be, in parts that fit together, and writes it as one PNG file or as tiles
 //! for a Deep Zoom viewer.
 
-use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
@@ -33,9 +32,10 @@ pub struct TilesArgs {
     tile: u32,
 }
 
-/// Sides of the frames that are drawn, and what is drawn around each and cut off again: effects look at neighbouring pixels, and pull-push at squares of
-/// powers of two, which begin at multiples of this.
+/// Sides of the frames that are drawn, where limits allow them.
 const FRAME_PX: [u32; 2] = [2048, 1024];
+/// What is drawn around each and cut off again: effects look at neighbouring pixels, and pull-push at squares of powers of two, which begin at multiples
+/// of this.
 const MARGIN_PX: u32 = 64;
 /// Pixels that neighbouring tiles share on each side, as viewers expect it.
 const OVERLAP_PX: u32 = 1;
@@ -53,28 +53,52 @@ pub fn run(args: TilesArgs) -> anyhow::Result<()> {
         "--size: {width}x{height} is too large; accepted: up to {MOST_WHOLE_PX} pixels a side"
     );
     ensure!(request.settings.part_of.is_none(), "--part-of: this command chooses the parts itself");
-    let extension = args.file.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    let is_pyramid = match args.file.extension().and_then(|extension| extension.to_str()) {
+        Some("png") => false,
+        Some("dzi") => true,
+        _ => bail!("{}: the name ends neither with .png nor with .dzi", args.file.display()),
+    };
     let (engine, info) = args.scene.load(|_| ())?;
     for warning in &info.warnings {
         say!("warning: {warning}");
     }
-    let first = Whole {
-        engine: &engine,
-        request: FrameRequest { width: 1, height: 1, ..request.clone() },
-        size: [width, height],
-    };
-    super::path::bake(&engine, &first.part([0, 0], [1, 1]))?;
-    match &*extension {
-        "png" => write_png(&Whole { request, ..first }, &args.file),
-        "dzi" => write_pyramid(&engine, &request, &args.file, args.tile),
-        other => bail!("{}: `{other}` is neither png nor dzi", args.file.display()),
+    let limits = engine.limits();
+    let parts = request.settings.parts();
+    let step = step_within(limits.max_pixels / u64::from(parts * parts), limits.max_side / parts)
+        .context(
+        "the limits of frames leave no room for parts; raise --max-pixels or --max-side",
+    )?;
+    ensure!(
+        !is_pyramid || args.tile + 2 * OVERLAP_PX <= step[0].min(step[1]),
+        "--tile: {} is too large within the limits of frames; accepted: up to {}",
+        args.tile,
+        step[0].min(step[1]) - 2 * OVERLAP_PX
+    );
+    let size = [request.width, request.height];
+    let whole = Whole { engine: &engine, request: &request, size };
+    super::path::bake(&engine, &whole.part([0, 0], [1, 1]))?;
+    match is_pyramid {
+        true => write_pyramid(&whole, &args.file, args.tile, step),
+        false => write_png(&whole, &args.file, step),
     }
 }
 
+/// Largest sides of parts whose frames, with what is around them, have at most `pixels` pixels and `side` a side.
+fn step_within(pixels: u64, side: u32) -> Option<[u32; 2]> {
+    // What is around begins at a multiple of the margin.
+    let around = 3 * MARGIN_PX;
+    let width =
+        FRAME_PX[0].min(side).min(u32::try_from(pixels / u64::from(2 * around)).unwrap_or(side));
+    let height = u64::from(FRAME_PX[1].min(side)).min(pixels / u64::from(width.max(1))) as u32;
+    let step = [width, height].map(|side| side.saturating_sub(around));
+    (step[0] >= MARGIN_PX && step[1] >= MARGIN_PX).then_some(step)
+}
+
 /// An image, drawn part by part.
+#[derive(Clone, Copy)]
 struct Whole<'a> {
     engine: &'a Engine,
-    request: FrameRequest,
+    request: &'a FrameRequest,
     size: [u32; 2],
 }
 
@@ -125,22 +149,20 @@ impl Whole<'_> {
     }
 }
 
-/// Net size of the parts of an image without tiles.
-fn plain_step() -> [u32; 2] {
-    FRAME_PX.map(|side| side - 2 * MARGIN_PX)
-}
-
-fn write_png(whole: &Whole, path: &Path) -> anyhow::Result<()> {
+/// Writes one file, which takes its name when it is complete.
+fn write_png(whole: &Whole, path: &Path, step: [u32; 2]) -> anyhow::Result<()> {
     let [width, height] = whole.size;
-    let file =
-        File::create(path).with_context(|| format!("{} cannot be written", path.display()))?;
-    let mut encoder = Encoder::new(BufWriter::new(file), width, height);
+    let unwritable = || format!("{} cannot be written", path.display());
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let file = tempfile::NamedTempFile::new_in(folder.unwrap_or(Path::new(".")))
+        .with_context(unwritable)?;
+    let mut encoder = Encoder::new(BufWriter::new(file.as_file()), width, height);
     encoder.set_color(ColorType::Rgba);
     encoder.set_depth(BitDepth::Eight);
     encoder.set_source_srgb(SrgbRenderingIntent::RelativeColorimetric);
     let mut header = encoder.write_header()?;
     let mut stream = header.stream_writer()?;
-    let sheets: Vec<_> = whole.sheets(plain_step()).collect();
+    let sheets: Vec<_> = whole.sheets(step).collect();
     let bar = progress_bar();
     bar.set_message("drawing");
     let mut drawn = 0;
@@ -159,6 +181,8 @@ fn write_png(whole: &Whole, path: &Path) -> anyhow::Result<()> {
         stream.write_all(band.as_flattened())?;
     }
     stream.finish()?;
+    header.finish()?;
+    file.persist(path).with_context(unwritable)?;
     bar.finish_and_clear();
     say!("{}: {width} × {height} pixels in {drawn} parts", path.display());
     Ok(())
@@ -174,20 +198,16 @@ fn levels(size: [u32; 2]) -> Vec<[u32; 2]> {
     levels
 }
 
-fn write_pyramid(
-    engine: &Engine,
-    request: &FrameRequest,
-    path: &Path,
-    tile: u32,
-) -> anyhow::Result<()> {
-    let size = [request.width, request.height];
+fn write_pyramid(whole: &Whole, path: &Path, tile: u32, step: [u32; 2]) -> anyhow::Result<()> {
+    let size = whole.size;
     let stem = path.file_stem().context("the image has no name")?.to_string_lossy();
     let folder = path.with_file_name(format!("{stem}_files"));
     let unwritable = |path: &Path| format!("{} cannot be written", path.display());
+    remove_levels(&folder)?;
     // Whole tiles for each frame.
-    let step = plain_step().map(|side| (side / tile).max(1) * tile);
+    let step = step.map(|side| (side - 2 * OVERLAP_PX) / tile * tile);
     let levels = levels(size);
-    let of = |size| Whole { engine, request: request.clone(), size };
+    let of = |size| Whole { size, ..*whole };
     let all: usize = levels.iter().map(|&size| of(size).sheets(step).count()).sum();
     let bar = progress_bar();
     bar.set_message("drawing");
@@ -228,6 +248,24 @@ fn write_pyramid(
     Ok(())
 }
 
+/// Removes the tiles of an earlier run. A folder with anything else stays, and is an error.
+fn remove_levels(folder: &Path) -> anyhow::Result<()> {
+    let Ok(entries) = std::fs::read_dir(folder) else { return Ok(()) };
+    for entry in entries {
+        let entry = entry?;
+        let name = entry.file_name();
+        let is_level = name.to_string_lossy().bytes().all(|c| c.is_ascii_digit());
+        ensure!(
+            is_level && entry.path().is_dir(),
+            "{}: {} is no level of an image; remove it, or give the image another name",
+            folder.display(),
+            name.to_string_lossy()
+        );
+    }
+    std::fs::remove_dir_all(folder)
+        .with_context(|| format!("{} cannot be emptied", folder.display()))
+}
+
 impl Sheet {
     /// A tile with its border, as far as the image reaches.
     fn tile(&self, [x, y]: [u32; 2], tile: u32, image: [u32; 2]) -> FrameImage {
@@ -256,6 +294,20 @@ fn description([width, height]: [u32; 2], tile: u32) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn parts_keep_within_limits() {
+        assert_eq!(step_within(1 << 24, 8192), Some([2048 - 192, 1024 - 192]));
+        for (pixels, side) in [(200_000, 8192), (150_000, 500), (1 << 20, 2048), (1 << 24, 300)] {
+            let [width, height] = step_within(pixels, side).unwrap().map(|side| side + 192);
+            assert!(
+                u64::from(width * height) <= pixels && width.max(height) <= side,
+                "{pixels} {side}"
+            );
+        }
+        assert_eq!(step_within(60_000, 8192), None);
+        assert_eq!(step_within(1 << 24, 200), None);
+    }
 
     #[test]
     fn levels_halve_down_to_one_pixel() {

@@ -275,8 +275,9 @@ fn digest_material(hasher: &mut Sha256, material: &Material) {
     optional(occlusion_map.as_ref().map(scaled).as_ref().map(|own| &own[..]));
     optional(emissive_map.as_ref().map(std::slice::from_ref));
     optional(Some(&emissive.map(f32::to_bits)));
-    if let Some(Physical { metallic, roughness, dielectric: [r, g, b], map }) = *physical {
-        optional(Some(&[metallic, roughness, r, g, b].map(f32::to_bits)));
+    optional(physical.map(|_| &[][..]));
+    if let Some(Physical { metallic, roughness, dielectric: [r, g, b], grazing, map }) = *physical {
+        optional(Some(&[metallic, roughness, r, g, b, grazing].map(f32::to_bits)));
         optional(map.as_ref().map(std::slice::from_ref));
     }
 }

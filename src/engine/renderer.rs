@@ -342,6 +342,8 @@ impl Renderer {
                 .model
                 .occlusion
                 .filter(|_| drawing.plan.runs(Pass::AmbientOcclusion)),
+            tone: drawing.settings.tone(),
+            image_rows: drawing.settings.image_rows().map(|rows| rows.saturating_mul(parts)),
             window_pixels: passes::window_pixels(self.gpu.max_binding_bytes()),
             entry_capacity: self.scratch.entry_capacity(),
             paint_capacity: self.scratch.paint_capacity(),

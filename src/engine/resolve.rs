@@ -160,6 +160,13 @@ fn prepared(
     loaded: &Loaded,
     request: FrameRequest,
 ) -> Result<(FrameRequest, Option<PlannedFrame>), EngineError> {
+    if request.settings.goal().is_some() && request.settings.is_part() {
+        return Err(EngineError::BadParameter {
+            parameter: "part_of",
+            reason: "settings would be chosen anew for each part of the image".to_owned(),
+            accepted: "no value beside `budget_ms` or `min_psnr_db`".to_owned(),
+        });
+    }
     let (request, planned) = if request.settings.goal().is_some() {
         let view = view_of(state, loaded, &request)?;
         planner::planned(state, loaded, request, &[view], |one| check_size(state, one).is_ok())

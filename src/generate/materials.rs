@@ -91,7 +91,7 @@ fn lantern() -> GeneratedMesh {
         let glow = window(u, v);
         [glow, 0.75 * glow, 0.4 * glow]
     });
-    let physical = Physical { metallic: 1.0, roughness: 1.0, dielectric: [0.04; 3], map: None };
+    let physical = Physical { metallic: 1.0, ..Physical::default() };
     let material = Material {
         name: "lantern".to_owned(),
         base_color: [0.55, 0.3, 0.12, 1.0],

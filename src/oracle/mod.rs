@@ -13,7 +13,7 @@
 //!    `paint` lays them over each other instead, where that is asked for.
 //!    `pull_push` fills the gaps between samples of one pixel from coarser levels of the image instead, where that is asked for.
 //! 3. `surface`: colour (`texture` included), normal and material where the ray meets the winner.
-//! 4. `shade`: Phong's model, that of physical materials (`physical`), or the colour as it is. `shadow` finds out what share of a sun a place sees, where suns cast shadows, and what share of its surroundings
+//! 4. `shade`: Phong's model, that of physical materials (`physical`), or the colour as it is. `tone` maps light to what can be shown. `shadow` finds out what share of a sun a place sees, where suns cast shadows, and what share of its surroundings
 //!    is open to ambient light. (`occlusion` estimates that from an image, as the renderer does.)
 //! 5. `edl`: eye-dome lighting, where it is asked for.
 //! 6. `fog`: what fog leaves of all that, and of the background, where the scene has some.
@@ -52,6 +52,7 @@ mod tests_shadow;
 #[cfg(test)]
 mod tests_splats;
 mod texture;
+mod tone;
 mod visibility;
 
 use glam::{DAffine3, DVec3};
@@ -62,7 +63,7 @@ use crate::math::View;
 use crate::scene::clipping::ClipRegion;
 use crate::scene::recolor::Recolor;
 use crate::scene::{
-    AmbientOcclusion, Discs, EyeDome, Fog, Light, MaterialSpec, Painting, PullPush, Splats,
+    AmbientOcclusion, Discs, EyeDome, Fog, Light, MaterialSpec, Painting, PullPush, Splats, Tone,
 };
 
 use blend::Blended;
@@ -100,6 +101,8 @@ pub struct OracleScene<'a> {
     pub fog: Option<Fog>,
     /// Ambient occlusion; none where splats are painted.
     pub occlusion: Option<AmbientOcclusion>,
+    /// How light becomes colours.
+    pub tone: Option<Tone>,
 }
 
 /// One geometry at one place.

@@ -14,6 +14,8 @@ pub struct Reflection {
     pub roughness: f64,
     /// Reflectance at normal incidence where the surface is no metal.
     pub dielectric: [f64; 3],
+    /// Reflectance at grazing angles there.
+    pub grazing: f64,
 }
 
 /// What a material adds to Lambert's and Phong's models.
@@ -34,6 +36,7 @@ impl Details {
             metallic: own.metallic.into(),
             roughness: own.roughness.into(),
             dielectric: own.dielectric.map(f64::from),
+            grazing: own.grazing.into(),
         };
         Details {
             reflection: material.physical.map(reflection),
@@ -44,11 +47,12 @@ impl Details {
 }
 
 impl Reflection {
-    /// Reflectance at normal incidence and the share of light that is scattered below the surface, of one channel.
-    fn parts(&self, albedo: f64, channel: usize) -> (f64, f64) {
-        let dielectric = self.dielectric[channel];
-        let facing = dielectric * (1.0 - self.metallic) + albedo * self.metallic;
-        (facing, albedo * (1.0 - self.metallic))
+    /// Reflectance at normal incidence and at grazing angles, and the share of light that is scattered below the surface, of one channel.
+    fn parts(&self, albedo: f64, channel: usize) -> [f64; 3] {
+        let mixed = |dielectric: f64, metal: f64| {
+            dielectric * (1.0 - self.metallic) + metal * self.metallic
+        };
+        [mixed(self.dielectric[channel], albedo), mixed(self.grazing, 1.0), mixed(albedo, 0.0)]
     }
 
     /// Light of one channel that leaves towards the eye for each unit that falls along `to_light` on a surface square to it; times π, so that white
@@ -59,7 +63,7 @@ impl Reflection {
         channel: usize,
         [normal, to_light, to_eye]: [DVec3; 3],
     ) -> f64 {
-        let (facing, diffuse) = self.parts(albedo, channel);
+        let [facing, grazing, diffuse] = self.parts(albedo, channel);
         let alpha_squared = self.roughness.max(LEAST_ROUGHNESS).powi(4);
         let (nl, nv) = (normal.dot(to_light).max(0.0), normal.dot(to_eye).clamp(1e-4, 1.0));
         let half = (to_light + to_eye).normalize_or_zero();
@@ -72,17 +76,18 @@ impl Reflection {
         };
         let visibility = 0.5 / (one(nl, nv) + one(nv, nl));
         // Schlick 1994.
-        let fresnel = facing + (1.0 - facing) * (1.0 - to_eye.dot(half).clamp(0.0, 1.0)).powi(5);
+        let fresnel =
+            facing + (grazing - facing) * (1.0 - to_eye.dot(half).clamp(0.0, 1.0)).powi(5);
         ((1.0 - fresnel) * diffuse + fresnel * distribution * visibility) * nl
     }
 
     /// Light of one channel under light of 1 from everywhere: what is scattered once ([`fit`]), and what is scattered again (Fdez-Agüera 2019).
     pub fn of_surroundings(&self, albedo: f64, channel: usize, facing_eye: f64) -> f64 {
-        let (facing, diffuse) = self.parts(albedo, channel);
-        let [all, grazing] = fit(self.roughness.clamp(0.0, 1.0), facing_eye.clamp(0.0, 1.0));
-        let single = facing * all + (1.0 - facing) * grazing;
+        let [facing, grazing, diffuse] = self.parts(albedo, channel);
+        let [all, aside] = fit(self.roughness.clamp(0.0, 1.0), facing_eye.clamp(0.0, 1.0));
+        let single = facing * (all - aside) + grazing * aside;
         let lost = 1.0 - all;
-        let mean = facing + (1.0 - facing) / 21.0;
+        let mean = facing + (grazing - facing) / 21.0;
         let multiple = single * mean * lost / (1.0 - mean * lost);
         single + multiple + diffuse * (1.0 - single - multiple)
     }
@@ -125,7 +130,8 @@ fn fit(roughness: f64, facing_eye: f64) -> [f64; 2] {
 mod tests {
     use super::*;
 
-    const MIRROR: Reflection = Reflection { metallic: 1.0, roughness: 0.5, dielectric: [0.04; 3] };
+    const MIRROR: Reflection =
+        Reflection { metallic: 1.0, roughness: 0.5, dielectric: [0.04; 3], grazing: 1.0 };
 
     fn direction(polar: f64, azimuth: f64) -> DVec3 {
         let (sine, cosine) = polar.sin_cos();

@@ -6,6 +6,7 @@ use crate::scene::Light;
 
 use super::prepare::Prepared;
 use super::surface::{LitAs, Surface};
+use super::tone;
 
 /// Linear RGB, not clamped.
 ///
@@ -14,7 +15,8 @@ use super::surface::{LitAs, Surface};
 /// lights, without a normal or when the material is unlit, the albedo. Ribbons have `|n·l|` in place of `n·l`, and thin lines the
 /// mean over a cylinder ([`line()`]). Ambient light, and the albedo of what is not lit, count by [`Surface::open`]. The light of a sun
 /// that casts shadows counts by the share of its disc that the place sees. Solids of metallic-roughness materials reflect as
-/// [`Reflection`](super::physical::Reflection) has it. What a surface gives off is added where lights are.
+/// [`Reflection`](super::physical::Reflection) has it. What a surface gives off is added where lights are,
+/// and the sum is mapped to what can be shown.
 pub fn shade(surface: &Surface, prepared: &Prepared<'_>, eye: DVec3) -> [f64; 3] {
     let lights = prepared.scene.lights;
     let normal = surface.normal_world;
@@ -68,7 +70,7 @@ pub fn shade(surface: &Surface, prepared: &Prepared<'_>, eye: DVec3) -> [f64; 3]
             });
         }
     }
-    sum
+    prepared.scene.tone.map_or(sum, |tone| tone::mapped(sum, &tone))
 }
 
 /// The mean of `max(0, n·l)` over the visible half of a cylinder, and about that of its highlight (Mallo et al. 2005; Zöckler et al. 1996

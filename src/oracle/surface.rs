@@ -2,7 +2,7 @@
 
 use glam::{DVec2, DVec3};
 
-use crate::assets::{DIELECTRIC, Geometry, Material, Mesh, Physical, PointCloud, ScaledMap};
+use crate::assets::{Geometry, Material, Mesh, Physical, PointCloud, ScaledMap};
 use crate::math::View;
 use crate::scene::fields::{class_color, class_number};
 use crate::scene::recolor::{NO_VALUE, Recolor, instance_color, share};
@@ -303,10 +303,6 @@ fn bend(
     }
 }
 
-/// What a node's metallic value or roughness changes in a material of Phong's model.
-const PLAIN: Physical =
-    Physical { metallic: 0.0, roughness: 1.0, dielectric: [DIELECTRIC; 3], map: None };
-
 /// The material with the node's own laid over it.
 pub fn overridden(item: &PreparedItem<'_>, own: &Material) -> Material {
     let mut material = own.clone();
@@ -318,7 +314,7 @@ pub fn overridden(item: &PreparedItem<'_>, own: &Material) -> Material {
             material.physical = None;
         }
         if over.is_physical() {
-            let own = material.physical.unwrap_or(PLAIN);
+            let own = material.physical.unwrap_or_default();
             material.physical = Some(Physical {
                 metallic: over.metallic.unwrap_or(own.metallic),
                 roughness: over.roughness.unwrap_or(own.roughness),

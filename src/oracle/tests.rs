@@ -59,6 +59,7 @@ pub fn scene<'a>(items: Vec<OracleItem<'a>>) -> OracleScene<'a> {
         edl: None,
         fog: None,
         occlusion: None,
+        tone: None,
     }
 }
 

@@ -16,7 +16,7 @@ use crate::residency::{GROUP, ResidentScene};
 use crate::scene::clipping::{ClipRegion, MOST_BOXES, Side};
 use crate::scene::fields::SceneField;
 use crate::scene::recolor::{MOST_COLORS, Recolor, share};
-use crate::scene::{AmbientOcclusion, EyeDome, Fog, Shading};
+use crate::scene::{AmbientOcclusion, EyeDome, Fog, Shading, Tone};
 
 /// Frames of one scene that are drawn together: the model (resident already), where it is seen from, what is wanted.
 #[derive(Clone)]
@@ -64,6 +64,10 @@ pub struct FrameTask {
     pub fog: Option<Fog>,
     /// Ambient occlusion.
     pub occlusion: Option<AmbientOcclusion>,
+    /// How light becomes colours.
+    pub tone: Option<Tone>,
+    /// Height in pixels of the image that the views are parts of, where they are.
+    pub image_rows: Option<u32>,
     /// Maximum number of pixels whose translucent fragments are kept at once.
     pub window_pixels: u32,
     /// Maximum number of entries that a frame of point trees may list.
@@ -284,8 +288,10 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         line_radius: 0.499_99 * task.least_line_px
             / (view.focal_px.x * view.focal_px.y).sqrt() as f32,
         paint_capacity: task.paint_capacity,
-        unused: 0,
+        exposure: task.tone.map_or(1.0, |tone| tone.stops.exp2() as f32),
         occlusion: task.occlusion.map_or([0.0; 2], |own| [own.radius as f32, own.strength as f32]),
+        image_height: task.image_rows.unwrap_or(view.height) as f32,
+        unused: [0.0; 3],
         fog: task.fog.map_or([0.0; 4], |fog| fog::light(&fog)),
         fog_up: task.fog.map_or([0.0; 4], |fog| fog::heights(&fog, view)),
         clips: task.clip.map_or_else(Default::default, |clip| clip_records(&clip, view)),

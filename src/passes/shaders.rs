@@ -98,6 +98,7 @@ fragments![
     "shared/normals",
     "shared/phong",
     "shared/physical",
+    "shared/tone",
     "shared/maps_none",
     "shared/maps_kept",
     "shared/shadow_none",

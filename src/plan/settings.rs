@@ -33,7 +33,7 @@ pub use declaration::{Choice, Rule, Setting, SettingError, SettingKind};
 pub use effects::Effect;
 pub use goal::Pinned;
 pub use numbers::{
-    Budget, ColorBound, EdlRadius, EdlStrength, LineWidth, MaxError, MinPsnr, PointSize,
+    Budget, ColorBound, EdlRadius, EdlStrength, Exposure, LineWidth, MaxError, MinPsnr, PointSize,
     PointSizePx,
 };
 pub use part::{ImagePart, MOST_WHOLE_PX};
@@ -49,7 +49,7 @@ use crate::math::Projection;
 use crate::plan::SceneFacts;
 use crate::scene::clipping::ClipBoxes;
 use crate::scene::recolor::ColorMap;
-use crate::scene::{Blend, Filter, Painting, PullPushWeights, Shading};
+use crate::scene::{Blend, Filter, Painting, PullPushWeights, Shading, ToneMap};
 use crate::spelling::suggestion;
 
 /// Samples are drawn as splats, or may be.
@@ -92,6 +92,7 @@ const SAMPLES: Rule = Rule::new("samples", &["some"], "");
 const SEGMENTS: Rule = Rule::new("segments", &["some"], "");
 const SHADOWS: Rule = Rule::new("shadows", &["on"], "shadows are off");
 const CASTING: Rule = Rule::new("casting_lights", &["some"], "");
+const LIT: Rule = Rule::new("lights", &["some"], "");
 const OCCLUDED: Rule = Rule::new("scene_occlusion", &["some"], "");
 const FOGGY: Rule = Rule::new("scene_fog", &["some"], "");
 const EDL: Rule = Rule::new("edl", &["on", "auto"], "eye-dome lighting is off");
@@ -288,7 +289,7 @@ settings! {
     /// Whether lighting is computed for each pixel or for each splat; the scene's value by default.
     shading: Shading => Option<Shading> {
         label: "Light", kind: SettingKind::scenes::<Shading>(), needs: [PASSES],
-        useful_with: [SAMPLES, THREE_PASSES, COLORS, Rule::new("blend", &["weighted"], ""), Rule::new("lights", &["some"], "")], trades: Trade::variant()
+        useful_with: [SAMPLES, THREE_PASSES, COLORS, Rule::new("blend", &["weighted"], ""), LIT], trades: Trade::variant()
     }
     /// Whether suns cast the shadows that the scene asks for.
     shadows: Shadows => Shadows {
@@ -306,6 +307,14 @@ settings! {
     /// Whether the scene's fog is drawn.
     fog: Effect => Effect {
         label: "Fog", kind: SettingKind::own::<Effect>(), needs: [], useful_with: [COLORS, FOGGY], trades: Trade::variant()
+    }
+    /// Brightness of lit surfaces: each stop doubles the light that they reflect and give off.
+    exposure: f64 => Exposure {
+        label: "Exposure", kind: Exposure::kind(), needs: [], useful_with: [COLORS, LIT]
+    }
+    /// How light that lit surfaces reflect and give off becomes colours that can be shown.
+    tone_map: ToneMap => ToneMap {
+        label: "Tone map", kind: SettingKind::own::<ToneMap>(), needs: [], useful_with: [COLORS, LIT]
     }
     /// Weights of the samples around a gap that pull-push fills.
     pull_push_weights: PullPushWeights => PullPushWeights {

@@ -197,7 +197,8 @@ pub struct GpuMaterial {
     pub emissive_map: u32,
     pub normal_scale: f32,
     pub occlusion_strength: f32,
-    pub unused: [u32; 2],
+    pub grazing: f32,
+    pub unused: u32,
 }
 
 pub const MATERIAL_DOUBLE_SIDED: u32 = 1;
@@ -324,8 +325,10 @@ pub struct GpuFrame {
     pub field_count: u32,
     pub line_radius: f32,
     pub paint_capacity: u32,
-    pub unused: u32,
+    pub exposure: f32,
     pub occlusion: [f32; 2],
+    pub image_height: f32,
+    pub unused: [f32; 3],
     pub fog: [f32; 4],
     pub fog_up: [f32; 4],
     pub clips: [GpuClipBox; MOST_BOXES],

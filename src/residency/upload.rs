@@ -13,7 +13,7 @@ use super::{
     Looks, PARTS_BYTES, Piece, Residency, ResidencyError, ResidentAsset, ResidentGeometry,
     ResidentScene, SceneMaterials, TEXEL_PAGES,
 };
-use crate::assets::{DIELECTRIC, Encoding, Material, Physical};
+use crate::assets::{Encoding, Material};
 use crate::bake::pack::{PackedChunk, PackedGeometry, Sides};
 use crate::bake::tree::SORTED;
 use crate::gpu::Gpu;
@@ -36,7 +36,8 @@ pub(super) fn gpu_material(material: &Material, texture_start: u32) -> GpuMateri
         flags |= MATERIAL_PHYSICAL;
     }
     let numbered = |texture: Option<u32>| texture.map_or(0, |own| texture_start + own + 1);
-    let physical = material.physical.unwrap_or(PLAIN);
+    // Where it is one of Phong's model, what a node's metallic value or roughness begins with.
+    let physical = material.physical.unwrap_or_default();
     let normal_map = material.normal_map;
     let occlusion_map = material.occlusion_map;
     GpuMaterial {
@@ -57,13 +58,10 @@ pub(super) fn gpu_material(material: &Material, texture_start: u32) -> GpuMateri
         emissive_map: numbered(material.emissive_map),
         normal_scale: normal_map.map_or(0.0, |own| own.factor),
         occlusion_strength: occlusion_map.map_or(0.0, |own| own.factor),
-        unused: [0; 2],
+        grazing: physical.grazing,
+        unused: 0,
     }
 }
-
-/// What the metallic-roughness model begins with where a node makes a material of Phong's one of its own.
-const PLAIN: Physical =
-    Physical { metallic: 0.0, roughness: 1.0, dielectric: [DIELECTRIC; 3], map: None };
 
 fn gpu_override(spec: &MaterialSpec) -> GpuMaterial {
     let mut out = GpuMaterial { shininess: 1.0, ..Default::default() };

@@ -1,6 +1,7 @@
 //! Effects that the renderer and the oracle draw alike.
 
 use glam::DVec3;
+use serde::{Deserialize, Serialize};
 
 /// Samples as discs that face the image plane, each at its own depth. Of the two diameters the larger one in the image counts.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -47,4 +48,37 @@ pub struct AmbientOcclusion {
     pub radius: f64,
     /// Share of the hidden light that is taken away, above 0 and up to 1.
     pub strength: f64,
+}
+
+/// How light of any strength becomes a colour that can be shown.
+#[derive(
+    Clone,
+    Copy,
+    Debug,
+    Default,
+    PartialEq,
+    Eq,
+    Hash,
+    Serialize,
+    Deserialize,
+    utoipa::ToSchema,
+    clap::ValueEnum,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum ToneMap {
+    /// As it is; what is brighter than white is white
+    #[default]
+    None,
+    /// Colours stay what they are, and highlights are compressed and become white (Khronos PBR Neutral)
+    Neutral,
+    /// As film: more contrast, and colours that fade where they are bright (ACES, as fitted by Hill)
+    Aces,
+}
+
+/// Exposure and tone mapping of the light that surfaces reflect and give off.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tone {
+    pub map: ToneMap,
+    /// Each doubles the light before it is mapped.
+    pub stops: f64,
 }

@@ -34,7 +34,7 @@ mod wire;
 pub use assets::{
     AsLines, AssetRef, AssetSource, CsgOperation, FileSource, MeshSampling, Operand, Solid,
 };
-pub use effects::{AmbientOcclusion, Discs, EyeDome, Fog, FogLayer};
+pub use effects::{AmbientOcclusion, Discs, EyeDome, Fog, FogLayer, Tone, ToneMap};
 pub use instance_path::{InstancePath, InstancePaths, PathStep};
 pub use load::{load, load_path, load_within, parse, parse_path};
 pub use path::{CameraPath, Ease, Interpolation, PathKey, PathSampler};

@@ -2,7 +2,9 @@
 
 use glam::DVec3;
 use pointillist::math::View;
-use pointillist::plan::{Output, Pass, Reconstruct, Settings};
+use pointillist::oracle::{self, OracleScene};
+use pointillist::plan::{Pass, Reconstruct, Settings, Shadows};
+use pointillist::scene::{Tone, ToneMap};
 use serde_json::{Value, json};
 
 use super::files::{Glb, Shape, picture};
@@ -138,7 +140,11 @@ fn kept_surfaces_have_their_maps() {
 }
 
 fn differing(a: &Frames, b: &Frames, steps: u8) -> usize {
-    let pairs = a.color.iter().zip(&b.color);
+    differing_bytes(&a.color, &b.color, steps)
+}
+
+fn differing_bytes(a: &[[u8; 4]], b: &[[u8; 4]], steps: u8) -> usize {
+    let pairs = a.iter().zip(b);
     pairs.filter(|(a, b)| (0..3).any(|channel| a[channel].abs_diff(b[channel]) > steps)).count()
 }
 
@@ -211,15 +217,75 @@ fn white_surfaces_under_white_light_are_white() {
     assert!(least >= Some(254), "{least:?}");
 }
 
-/// A scene whose materials have neither maps nor metal has the same bytes as with Phong's model and no highlight, whatever `normal` shows.
+/// The output of normals shows those of the maps.
 #[test]
 fn normals_are_those_of_the_maps() {
-    let case = mapped("physical-normals", json!({}));
-    let [_, _, normals] = case.each(&front());
-    let flat = Shape::quad(DVec3::new(-0.5, -0.5, 0.0), DVec3::X, DVec3::Y, 1.0);
-    assert!(flat.normals.is_empty());
-    let kinds: std::collections::BTreeSet<[u8; 3]> =
-        normals.normal.iter().map(|n| [n[0], n[1], n[2]]).collect();
-    assert!(kinds.len() > 500, "{} different normals", kinds.len());
-    let _ = Output::Normal;
+    let sheet = Shape::quad(DVec3::new(-1.0, -1.0, 0.0), DVec3::X * 2.0, DVec3::Y * 2.0, 1.0);
+    let kinds = |name: &str, with_map: bool| {
+        let mut glb = Glb::new();
+        let mut material = maps(&mut glb);
+        if !with_map {
+            material.as_object_mut().unwrap().remove("normalTexture");
+        }
+        let material = glb.material(material);
+        let mesh = glb.mesh(&sheet, Some(material));
+        glb.node(mesh, json!({}));
+        let (files, scene) = scene(glb);
+        let frames = Case::new(name, &files, &scene).check(&front(), &Tolerance::default());
+        let shown = frames.id.iter().zip(&frames.normal).filter(|(id, _)| **id != 0);
+        shown.map(|(_, n)| [n[0], n[1], n[2]]).collect::<std::collections::BTreeSet<_>>().len()
+    };
+    let [mapped, flat] = [kinds("physical-bent", true), kinds("physical-flat", false)];
+    assert!(flat == 1 && mapped > 100, "{flat} {mapped}");
+}
+
+/// Exposure and tone curves of everything that is lit: balls, samples as splats lit once a pixel or one by one, lines.
+#[test]
+fn tone_maps_are_those_of_the_reference() {
+    let mut glb = Glb::new();
+    for (column, roughness) in [0.2, 0.5, 1.0].into_iter().enumerate() {
+        let material = glb.material(json!({ "emissiveFactor": [0.1, 0, 0.05], "pbrMetallicRoughness": {
+            "metallicFactor": 0.5, "roughnessFactor": roughness, "baseColorFactor": [0.9, 0.6, 0.25, 1] } }));
+        let mesh = glb.mesh(&Shape::ball(32, 0.42), Some(material));
+        glb.node(mesh, json!({ "translation": [column as f64 - 1.0, 0, 0] }));
+    }
+    let (mut files, mut scene) = scene(glb);
+    let strand: Vec<_> = (0..12)
+        .map(|i| (DVec3::new(-1.4 + 0.25 * f64::from(i), 0.7, 0.0), 0.06, [220, 200, 90]))
+        .collect();
+    files.push(("lines.vtk", super::lines::vtk(&[strand])));
+    scene["assets"]["lines"] = json!({ "file": "lines.vtk" });
+    scene["nodes"].as_array_mut().unwrap().push(json!({ "asset": "lines" }));
+    let case = Case::new("physical-tone", &files, &scene);
+    let view = front();
+    for (map, stops) in [
+        (ToneMap::None, 1.0),
+        (ToneMap::Neutral, 0.0),
+        (ToneMap::Neutral, 2.0),
+        (ToneMap::Aces, -1.0),
+        (ToneMap::Aces, 3.0),
+    ] {
+        let settings = Settings {
+            tone_map: map,
+            exposure: stops.into(),
+            shadows: Shadows::Off,
+            ..Settings::drawn_as(Reconstruct::Points)
+        };
+        let frames = case.draw_with(&view, settings);
+        let tone = Some(Tone { map, stops });
+        let expected = oracle::render(
+            &OracleScene { tone, shadows: false, ..case.reference.scene() },
+            &view,
+            1,
+        )
+        .to_rgba8();
+        let far = differing_bytes(&frames.color, &expected, 3);
+        println!("{map:?} {stops}: {far} of {} pixels differ", frames.covered());
+        assert!(far <= 12 && frames.covered() > 3000, "{map:?} {stops}: {far}");
+        let plain = case.draw_with(
+            &view,
+            Settings { tone_map: ToneMap::None, exposure: 0.0.into(), ..settings },
+        );
+        assert!(differing(&frames, &plain, 3) * 2 > frames.covered(), "{map:?} {stops}");
+    }
 }

@@ -21,8 +21,8 @@ use serde_json::Map;
 use super::super::input::{Folder, read_bounded};
 use super::super::texture::{self, TextureBudget};
 use super::super::{
-    DIELECTRIC, Encoding, Filter, LEAST_ALPHA, Material, Physical, ReadOptions, ScaledMap, Texture,
-    Wrap,
+    DIELECTRIC, Encoding, Filter, LEAST_ALPHA, MOST_EMISSIVE, Material, Physical, ReadOptions,
+    ScaledMap, Texture, Wrap,
 };
 use super::buffers::Buffers;
 use super::container::{data_uri, percent_decoded};
@@ -70,8 +70,9 @@ struct Reference {
 struct Surface {
     base: [f32; 4],
     texture: Option<Reference>,
-    /// Reflectance at normal incidence of what is not metal.
+    /// Reflectance at normal incidence of what is not metal, and at grazing angles.
     dielectric: [f32; 3],
+    grazing: f32,
     metallic: f32,
     roughness: f32,
     map: Option<Reference>,
@@ -132,6 +133,7 @@ impl<'a> Materials<'a> {
             metallic: surface.metallic,
             roughness: unit(surface.roughness),
             dielectric: surface.dielectric.map(unit),
+            grazing: surface.grazing,
             map: self.texture(map, Encoding::Linear, place),
         };
         let mut scaled = |own: Option<(Reference, f32)>| {
@@ -173,6 +175,28 @@ impl<'a> Materials<'a> {
         let known = (self.materials.len() as u32 - 1, placement);
         self.known.insert(index.value(), known);
         Some(known)
+    }
+
+    /// The material for a mesh without texture coordinates: its textures would show one texel everywhere.
+    pub fn without_textures(&mut self, number: u32) -> u32 {
+        let Some(own) = self.materials.get(number as usize) else { return number };
+        if own.base_texture.is_none() && !own.has_maps() {
+            return number;
+        }
+        self.warnings.push(format!(
+            "material {}: its textures are left out of a mesh that has no texture coordinates",
+            own.name
+        ));
+        let physical = own.physical.map(|own| Physical { map: None, ..own });
+        self.materials.push(Material {
+            base_texture: None,
+            emissive_map: None,
+            normal_map: None,
+            occlusion_map: None,
+            physical,
+            ..own.clone()
+        });
+        self.materials.len() as u32 - 1
     }
 
     /// Decodes a texture of a material, or says why not and returns `None`; `place`: the material's name, and how its vertices' texture
@@ -258,9 +282,6 @@ impl<'a> Materials<'a> {
     }
 }
 
-/// The largest factor of light that a surface gives off.
-const MOST_EMISSIVE: f32 = 1e6;
-
 fn unit(value: f32) -> f32 {
     if value.is_finite() { value.clamp(0.0, 1.0) } else { 1.0 }
 }
@@ -286,6 +307,7 @@ fn metallic_roughness(source: &material::Material) -> Surface {
         base: model.base_color_factor.0,
         texture: model.base_color_texture.as_ref().map(reference),
         dielectric: tint.map(|tint| unit(reflectance * tint) * strength),
+        grazing: strength,
         metallic: unit(model.metallic_factor.0),
         roughness: model.roughness_factor.0,
         map: model.metallic_roughness_texture.as_ref().map(reference),
@@ -364,6 +386,7 @@ fn specular_glossiness(source: &material::Material) -> Option<Surface> {
         base: base.unwrap_or([1.0; 4]),
         texture,
         dielectric: specular.unwrap_or([1.0; 3]),
+        grazing: 1.0,
         metallic: 0.0,
         roughness: 1.0 - unit(glossiness),
         map: None,

@@ -144,7 +144,11 @@ impl<'a> Primitives<'a> {
             return self.lines(primitive, mode, &attributes, &indices, place);
         }
         let triangles = self.triangles(mode, &indices, place)?;
-        self.mesh(attributes, triangles, material.map(|(number, _)| number), place)
+        let number = material.map(|(number, _)| match &attributes.uvs {
+            Some(_) => number,
+            None => materials.without_textures(number),
+        });
+        self.mesh(attributes, triangles, number, place)
     }
 
     /// Data that only a decompressor could read.

@@ -384,6 +384,7 @@ fn metals_maps_and_light_of_their_own() {
     for (found, expected) in physical.dielectric.iter().zip([1.0 / 18.0, 1.0 / 36.0, 0.5]) {
         assert!((found - expected).abs() < 1e-6, "{found}");
     }
+    assert_eq!(physical.grazing, 0.5);
     assert_eq!(own.emissive, [4.0, 2.0, 0.0]);
     // Of each image and sampler one as colours and one as values.
     let encodings: Vec<(Encoding, Filter)> =
@@ -404,6 +405,16 @@ fn metals_maps_and_light_of_their_own() {
     assert_eq!(asset.materials[0].normal_map, None);
     let warning = asset.warnings.concat();
     assert!(warning.contains("texture 0") && warning.contains("texture coordinates"), "{warning}");
+
+    // Nowhere to look them up.
+    let mut bare = document.json.clone();
+    bare["meshes"][0]["primitives"][0]["attributes"].as_object_mut().unwrap().remove("TEXCOORD_1");
+    let whole = std::mem::replace(&mut document.json, bare);
+    let asset = document.read().unwrap();
+    document.json = whole;
+    let own = &asset.materials[mesh(&asset, 0).parts[0].material.unwrap() as usize];
+    assert!(!own.has_maps() && own.base_texture.is_none() && own.physical.is_some());
+    assert!(asset.warnings.concat().contains("no texture coordinates"), "{:?}", asset.warnings);
 
     // Unlit surfaces have a colour alone.
     document.json["materials"][0]["extensions"]["KHR_materials_unlit"] = json!({});

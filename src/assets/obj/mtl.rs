@@ -9,7 +9,7 @@ use super::super::texture::{self, TextureBudget};
 use super::super::tidy::linear_from_srgb;
 use super::super::tokens::{Tokens, number};
 use super::super::{
-    DIELECTRIC, Encoding, LEAST_ALPHA, Material, Physical, ReadOptions, ScaledMap, Texture, Wrap,
+    Encoding, LEAST_ALPHA, MOST_EMISSIVE, Material, Physical, ReadOptions, ScaledMap, Texture, Wrap,
 };
 use crate::memory::Admission;
 
@@ -220,14 +220,18 @@ impl Definition {
                 || self.metallic_map.is_some()
                 || self.roughness_map.is_some());
         let reflection = if is_physical { textures.reflection(self, warnings) } else { None };
-        // Without a factor, the map alone counts.
         let has_metal = reflection.is_some_and(|(_, has_metal)| has_metal);
-        let metallic = self.metallic.unwrap_or(if has_metal { 1.0 } else { 0.0 });
+        let factor = |own: Option<f32>, is_mapped: bool, plain: f32| match own {
+            // Exporters write 0 beside a map and mean the map.
+            Some(0.0) | None if is_mapped => 1.0,
+            own => own.unwrap_or(plain).clamp(0.0, 1.0),
+        };
+        let is_rough = reflection.is_some() && self.roughness_map.is_some();
         let physical = is_physical.then(|| Physical {
-            metallic: metallic.clamp(0.0, 1.0),
-            roughness: self.roughness.unwrap_or(1.0).clamp(0.0, 1.0),
-            dielectric: [DIELECTRIC; 3],
+            metallic: factor(self.metallic, has_metal, 0.0),
+            roughness: factor(self.roughness, is_rough, 1.0),
             map: reflection.map(|(number, _)| number),
+            ..Physical::default()
         });
         let mut load = |map: &Option<Map>, encoding| match map {
             Some(map) if !unlit => textures.load(map, encoding, warnings),
@@ -239,7 +243,12 @@ impl Definition {
         let emissive = match emissive_map {
             Some(_) if self.emissive == [0.0; 3] => [1.0; 3],
             _ if unlit => [0.0; 3],
-            _ => self.emissive.map(|channel| linear_from_srgb(channel.clamp(0.0, 1.0))),
+            // Beyond 1 it is a strength.
+            _ => {
+                let strength = self.emissive.into_iter().fold(1.0, f32::max).min(MOST_EMISSIVE);
+                self.emissive
+                    .map(|own| linear_from_srgb((own / strength).clamp(0.0, 1.0)) * strength)
+            }
         };
         // An exponent below 1 is how exporters say that there is no highlight.
         let shines = self.model.unwrap_or(2) >= 2 && self.exponent >= 1.0;
@@ -336,6 +345,9 @@ impl Textures<'_> {
         let key = (files.map(str::to_owned), clamp);
         if let Some(known) = self.reflections.get(&key) {
             return *known;
+        }
+        for map in maps.iter().filter_map(|map| map.as_ref()).filter(|map| map.altered) {
+            warnings.push(format!("texture {}: its placement options are ignored", map.file));
         }
         let mut read = |map: &Option<Map>| {
             let read = texture::load(&map.as_ref()?.file, self.folder, &mut self.budget);
@@ -455,6 +467,7 @@ mod tests {
         let ember = material("Ke 1 0 0.5\nKd 0 0 0");
         assert_eq!(ember.emissive, [1.0, 0.0, linear_from_srgb(0.5)]);
         assert_eq!(material("Ke 1 1 1\nillum 0").emissive, [0.0; 3]);
+        assert_eq!(material("Ke 4 2 0").emissive, [4.0, 4.0 * linear_from_srgb(0.5), 0.0]);
         // A map that cannot be had is no factor of 1.
         assert_eq!(material("map_Ke missing.png").emissive, [0.0; 3]);
     }
@@ -482,7 +495,7 @@ mod tests {
             (material, textures.textures, warnings)
         };
         let (material, textures, warnings) =
-            read("map_Pr rough.png\nmap_Pm metal.png\nnorm -bm 0.5 rough.png");
+            read("map_Pr rough.png\nmap_Pm metal.png\nPm 0\nnorm -bm 0.5 rough.png");
         let own = material.physical.unwrap();
         assert_eq!((own.metallic, own.roughness, own.map), (1.0, 1.0, Some(0)));
         assert_eq!(textures[0].rgba, [[255, 10, 255, 255], [255, 20, 0, 255]]);

@@ -21,6 +21,7 @@ use super::shaders::Choices;
 use crate::plan::Pass;
 use crate::residency::layout::FEW_LIGHTS;
 use crate::scene::recolor::Recolor;
+use crate::scene::{Tone, ToneMap};
 
 /// Pixels that a workgroup resolves; as in the shaders.
 pub const TILE: (u32, u32) = (64, 16);
@@ -39,6 +40,7 @@ pub fn light_constants(recorder: &Recorder) -> Constants {
         ("POINT_LIGHTS", u32::from(looks.point_lights)),
         ("PHYSICAL", u32::from(looks.physical)),
         ("EMISSIVE", u32::from(looks.emissive)),
+        ("TONE", recorder.task.tone.map_or(0, tone_number)),
         ("MATERIALS", u32::from(looks.has_looked_up())),
         ("FEW_LIGHTS", if lights > FEW_LIGHTS { 0 } else { lights }),
     ];
@@ -46,6 +48,15 @@ pub fn light_constants(recorder: &Recorder) -> Constants {
         constants.push(("SUN_MAPS", maps));
     }
     constants
+}
+
+/// The number of a tone curve in `shared/tone`.
+fn tone_number(tone: Tone) -> u32 {
+    match tone.map {
+        ToneMap::None => 1,
+        ToneMap::Neutral => 2,
+        ToneMap::Aces => 3,
+    }
 }
 
 /// Fragments of a resolve pass: surfaces are kept if a later pass writes the output.

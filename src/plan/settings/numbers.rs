@@ -87,6 +87,8 @@ numbers! {
     EdlStrength: 0.0 to 10.0 "", 0.6;
     /// Distance of the neighbours that eye-dome lighting compares a pixel with, in pixels.
     EdlRadius: 1.0 to 16.0 "pixels", 1.4;
+    /// Exposure, in stops.
+    Exposure: -16.0 to 16.0 "stops", 0.0;
     /// GPU time of a frame, in milliseconds.
     BudgetMs: 0.01 to 60000.0 "ms", 33.0;
     /// Peak signal-to-noise ratio, in decibels.

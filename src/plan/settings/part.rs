@@ -42,6 +42,11 @@ impl Settings {
         self.part_of.is_some()
     }
 
+    /// Height of the image that the frame is a part of.
+    pub fn image_rows(&self) -> Option<u32> {
+        self.part_of.map(|part| part.height)
+    }
+
     /// The settings for a frame of so many times the pixels along each side.
     #[must_use]
     pub(super) fn of_part_times(self, factor: u32) -> Settings {

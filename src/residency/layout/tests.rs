@@ -146,7 +146,9 @@ fn records_match_the_shaders() {
                 field_count,
                 line_radius,
                 paint_capacity,
+                exposure,
                 occlusion,
+                image_height,
                 fog,
                 fog_up,
                 clips,
@@ -180,6 +182,7 @@ fn records_match_the_shaders() {
             emissive_map,
             normal_scale,
             occlusion_strength,
+            grazing,
             unused
         )],
     );
