@@ -393,7 +393,7 @@ pub fn three_digits(value: f64) -> String {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::accuracy::journal::PoseRecord;
 
@@ -426,7 +426,7 @@ pub(super) mod tests {
     }
 
     /// Results of two poses and five rows: two on the front, one that is beaten, one that is drawn as another and one that is refused.
-    pub(in crate::accuracy) fn results() -> Results {
+    pub(crate) fn results() -> Results {
         let row = |label: &str| Row {
             label: label.into(),
             family: label[..3].into(),
