@@ -35,10 +35,9 @@ folder=$REPORT_FOLDER
 
 # Everything is built before anything is timed.
 benches/peers/install.sh || echo "!! SKIPPED: the peers, which could not be installed"
-read -ra features <<<"$(scripts/features.sh)"
 benches=(equal painted splats lod pull_push trees planner audit report)
-cargo build --release --locked "${features[@]}"
-cargo bench --locked "${features[@]}" --no-run "${benches[@]/#/--bench=}"
+# That builds the program as well, without a second copy of the library.
+cargo bench --locked --no-run "${benches[@]/#/--bench=}"
 
 # Measurements of another build, or of another extent, are not continued.
 build="$(cksum <"$binary") $(cat benches/*.rs benches/*/*.rs benches/peers/*.py scripts/report.sh | cksum)"
@@ -51,7 +50,7 @@ echo "$build" >"$folder/build"
 bench() { # NAME
     local status=0
     rm -f "target/bench/$1.json"
-    cargo bench --quiet --locked "${features[@]}" --bench "$1" || status=$?
+    cargo bench --quiet --locked --bench "$1" || status=$?
     if [ -f "target/bench/$1.json" ]; then mv "target/bench/$1.json" "$folder/benches/"; else return "$status"; fi
 }
 
@@ -140,7 +139,7 @@ fi
 for part in "${all[@]}"; do
     cat "$folder/parts/$part" 2>/dev/null || printf '%s\t–\tnot measured\n' "$part"
 done >"$folder/parts.tsv"
-cargo bench --quiet --locked "${features[@]}" --bench report
+cargo bench --quiet --locked --bench report
 
 if is_set "${REPORT_RECORD:-}"; then
     if is_set "${REPORT_QUICK:-}"; then

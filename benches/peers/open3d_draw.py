@@ -9,6 +9,7 @@ samples a pixel off that Open3D has by default. What else is asked for and print
 What is timed is `render_to_image()`, which also reads the image back: Open3D has no call that draws alone and waits.
 """
 import json
+import os
 import sys
 import time
 
@@ -36,6 +37,14 @@ def cloud_of(path):
     return cloud
 
 
+def keep_output():
+    """Leaves standard output to this script alone: Open3D logs to Python's, and Filament to the process's."""
+    open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
+    sys.stdout = os.fdopen(os.dup(1), "w", buffering=1)
+    with open(os.devnull, "w") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+
+
 def main():
     parser = vtk_draw.scene_arguments(__doc__.split("\n\n")[0])
     parser.add_argument("--png", help="write the unturned frame here")
@@ -43,6 +52,7 @@ def main():
     args = parser.parse_args()
     if not args.eye or not args.target:
         parser.error("the pose is needed: --eye and --target")
+    keep_output()
     began = time.perf_counter()
     cloud = cloud_of(args.ply)
     renderer = rendering.OffscreenRenderer(*args.size)

@@ -144,7 +144,7 @@ fn headline(found: &Found) -> anyhow::Result<Section> {
             vec![format!("{} dB", number(level["least_db"].as_f64().unwrap_or(f64::NAN)))];
         for reached in level["scenes"].as_array().into_iter().flatten() {
             let shown = |key: &str| reached[key].as_f64().map_or("—".to_owned(), number);
-            let setting = reached["row"].as_str().unwrap_or("not reached").to_owned();
+            let setting = reached["label"].as_str().unwrap_or("not reached").to_owned();
             row.extend([setting, shown("gpu_ms"), shown("times")]);
         }
         rows.push(row);

@@ -4,9 +4,11 @@
 //! over the time of the level below it. The price of a decibel in a scene is the factor of time from the fastest point of its front to the
 //! most exact one that differs from the reference, spread evenly over the decibels between them ([`price`]).
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
-use super::results::three_digits;
+use super::results::{NO_SAMPLES, three_digits};
 use super::sweep::{Price, Quartiles, pareto, price};
 
 /// Decibels between two levels, and the same where there would be more than [`MOST_LEVELS`] of them.
@@ -50,12 +52,13 @@ struct ToldIdentity {
 struct ToldScope {
     name: String,
     entries: Vec<ToldEntry>,
+    fronts: BTreeMap<String, Vec<String>>,
 }
 
 #[derive(Deserialize)]
 struct ToldEntry {
     row: String,
-    same_as: Option<String>,
+    family: String,
     psnr_db: Option<f64>,
     gpu_ms: Option<Quartiles>,
 }
@@ -63,7 +66,8 @@ struct ToldEntry {
 /// A setting on the Pareto front of a scene.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Point {
-    pub row: String,
+    /// The setting in words. In frames without samples, how samples would be drawn is left out.
+    pub label: String,
     /// `None` for frames that equal the reference.
     pub psnr_db: Option<f64>,
     pub gpu_ms: Quartiles,
@@ -102,14 +106,19 @@ impl Curve {
     pub fn read(json: &str) -> Result<Curve, CostError> {
         let told: Told = serde_json::from_str(json)?;
         let scope = told.scopes.into_iter().next().ok_or(CostError::Empty)?;
+        let on_front = scope.fronts.get("psnr").map(Vec::as_slice).unwrap_or_default();
         let mut points = Vec::new();
-        for entry in scope.entries.into_iter().filter(|entry| entry.same_as.is_none()) {
+        for entry in scope.entries.into_iter().filter(|entry| on_front.contains(&entry.row)) {
             let Some(time) = entry.gpu_ms else { continue };
             let wrong = [time.low, time.median, time.high].into_iter().find(|ms| *ms <= 0.0);
             if let Some(value) = wrong {
                 return Err(CostError::Time { row: entry.row, value });
             }
-            points.push(Point { row: entry.row, psnr_db: entry.psnr_db, gpu_ms: time });
+            let label = match entry.row.split_once(' ') {
+                Some((_, rest)) if entry.family == NO_SAMPLES => rest.to_owned(),
+                _ => entry.row,
+            };
+            points.push(Point { label, psnr_db: entry.psnr_db, gpu_ms: time });
         }
         let points = front(points);
         if points.is_empty() {
@@ -186,7 +195,7 @@ fn whole_price(points: &[Point]) -> Option<Price> {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Reached {
     /// The fastest setting that reaches the level, with its decibels and its median time.
-    pub row: String,
+    pub label: String,
     pub psnr_db: Option<f64>,
     pub gpu_ms: f64,
     /// Time over that of the level below; `None` for the lowest level.
@@ -234,7 +243,7 @@ fn levels(curves: &[Curve]) -> Vec<Level> {
             let point = curve.at_least(least_db)?;
             let below = below.and_then(|below| curve.at_least(below));
             Some(Reached {
-                row: point.row.clone(),
+                label: point.label.clone(),
                 psnr_db: point.psnr_db,
                 gpu_ms: point.gpu_ms.median,
                 times: below.map(|below| point.gpu_ms.median / below.gpu_ms.median),
@@ -270,7 +279,7 @@ pub(super) mod tests {
 
     fn point(row: &str, psnr_db: Option<f64>, ms: f64) -> Point {
         let gpu_ms = Quartiles { count: 3, low: 0.9 * ms, median: ms, high: 1.2 * ms };
-        Point { row: row.into(), psnr_db, gpu_ms }
+        Point { label: row.into(), psnr_db, gpu_ms }
     }
 
     fn curve(scene: &str, points: Vec<Point>) -> Curve {
@@ -311,7 +320,7 @@ pub(super) mod tests {
             .levels
             .iter()
             .filter_map(|level| level.scenes[0].clone())
-            .map(|reached| (reached.row, reached.gpu_ms, reached.times))
+            .map(|reached| (reached.label, reached.gpu_ms, reached.times))
             .collect();
         assert_eq!(
             town,
@@ -325,7 +334,7 @@ pub(super) mod tests {
         let lone = |level: usize| costs.levels[level].scenes[1].as_ref().map(|at| at.times);
         assert_eq!([0, 1, 2].map(lone), [Some(None), Some(Some(1.0)), None]);
         // Frames that equal the reference reach every level.
-        assert_eq!(costs.curves[0].at_least(1e9).unwrap().row, "exact");
+        assert_eq!(costs.curves[0].at_least(1e9).unwrap().label, "exact");
     }
 
     #[test]
@@ -354,7 +363,7 @@ pub(super) mod tests {
             point("fast", Some(30.0), 2.0),
             point("beaten", Some(29.0), 3.0),
         ];
-        let rows: Vec<String> = front(points).into_iter().map(|point| point.row).collect();
+        let rows: Vec<String> = front(points).into_iter().map(|point| point.label).collect();
         assert_eq!(rows, ["fast", "slow"]);
         assert!(levels(&[]).is_empty());
         let equal = curve("equal", vec![point("exact", None, 1.0)]);
@@ -370,8 +379,11 @@ pub(super) mod tests {
         let json = serde_json::to_string(&results()).unwrap();
         let read = Curve::read(&json).unwrap();
         assert_eq!((read.name(), read.poses.as_str()), ("scene", "all poses"));
-        let rows: Vec<&str> = read.points.iter().map(|point| point.row.as_str()).collect();
+        let rows: Vec<&str> = read.points.iter().map(|point| point.label.as_str()).collect();
         assert_eq!(rows, ["fast way", "good way"]);
+        let mut meshes = serde_json::to_value(results()).unwrap();
+        meshes["scopes"][0]["entries"][0]["family"] = NO_SAMPLES.into();
+        assert_eq!(Curve::read(&meshes.to_string()).unwrap().points[0].label, "way");
         let message = |text: &str| Curve::read(text).unwrap_err().to_string();
         assert!(
             message("{}").starts_with("not the accuracy.json of a report"),

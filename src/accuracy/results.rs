@@ -14,7 +14,7 @@ use crate::plan::Given;
 pub const ALL_POSES: &str = "all poses";
 
 /// Family of frames that show no samples.
-const NO_SAMPLES: &str = "meshes, lines";
+pub(super) const NO_SAMPLES: &str = "meshes, lines";
 
 /// Everything that a report shows.
 #[derive(Clone, Debug, Serialize, utoipa::ToSchema)]

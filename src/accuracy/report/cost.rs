@@ -10,7 +10,7 @@ use crate::accuracy::sweep::Quartiles;
 
 /// Height of the plot's area, of the head above the answers, and of an answer.
 const AREA: f64 = 430.0;
-const HEAD: f64 = 78.0;
+const HEAD: f64 = 80.0;
 const ANSWER: f64 = 20.0;
 
 // Writing to a string cannot fail, so results of `write!` are dropped below.
@@ -21,7 +21,7 @@ pub fn cost_svg(costs: &Costs) -> String {
     let sizes = distinct(&costs.curves, |curve| format!("{}x{}", curve.width, curve.height));
     let dates = distinct(&costs.curves, |curve| day(&curve.date).to_owned());
     let subject = format!("{adapters} · {sizes} · {dates}");
-    let top = HEAD + ANSWER * costs.curves.len() as f64;
+    let top = HEAD + ANSWER * costs.curves.len() as f64 + 4.0;
     let height = top + AREA + BELOW;
     let lines = [(49.0, "soft", subject.as_str()), (70.0, "", costs.summary.as_str())];
     let mut out = begin(height, "What does one more decibel cost?", &lines);
@@ -52,7 +52,7 @@ pub fn cost_svg(costs: &Costs) -> String {
             let title = format!(
                 "{}, {}: {} ms, {}",
                 curve.name(),
-                point.row,
+                point.label,
                 three_digits(point.gpu_ms.median),
                 decibels(point)
             );
@@ -62,7 +62,7 @@ pub fn cost_svg(costs: &Costs) -> String {
     }
     for curve in &costs.curves {
         for point in &curve.points {
-            area.label(&mut out, &point.row, area.place(place(point)), &mut taken);
+            area.label(&mut out, &point.label, area.place(place(point)), &mut taken);
         }
     }
     out += "</svg>\n";
@@ -91,7 +91,7 @@ pub fn cost_markdown(costs: &Costs) -> String {
                 Some(at) => write!(
                     out,
                     " {} | {} | {} |",
-                    cell(&at.row),
+                    cell(&at.label),
                     three_digits(at.gpu_ms),
                     at.times.map_or("–".to_owned(), three_digits)
                 ),
@@ -108,7 +108,7 @@ pub fn cost_markdown(costs: &Costs) -> String {
                 out,
                 "| {} | {} | {median} ({low}–{high}) | {} |",
                 cell(curve.name()),
-                cell(&point.row),
+                cell(&point.label),
                 decibels(point)
             );
         }
