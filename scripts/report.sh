@@ -30,6 +30,9 @@ export REPORT_FOLDER=target/report
 if is_set "${REPORT_QUICK:-}"; then
     REPORT_FOLDER=target/report-quick
     export BENCH_QUICK=1
+    planner_scenes=scenes/relief.json planner_poses=1 audit_poses=1
+else
+    planner_scenes=scenes/town.json,scenes/relief.json,scenes/textured.json planner_poses=24 audit_poses=10
 fi
 folder=$REPORT_FOLDER
 
@@ -85,8 +88,8 @@ measure() { # PART
     lod) BENCH_LOD="bake cpu distance" bench lod ;;
     pull_push) bench pull_push ;;
     trees) bench trees ;;
-    planner) PLANNER_SCENES=${PLANNER_SCENES:-scenes/town.json,scenes/relief.json,scenes/textured.json} PLANNER_POSES=${PLANNER_POSES:-24} bench planner ;;
-    audit) AUDIT_POSES=${AUDIT_POSES:-10} bench audit ;;
+    planner) PLANNER_SCENES=$planner_scenes PLANNER_POSES=$planner_poses bench planner ;;
+    audit) AUDIT_POSES=$audit_poses bench audit ;;
     esac
 }
 limit_s() {
@@ -98,8 +101,13 @@ limit_s() {
     esac
 }
 
-# A part in the background, so that it can be stopped with all that it started.
+# A part runs in a process group of its own, so that it can be stopped with all that it started.
 set -m
+worker='' watch=''
+stop() { # PROCESS_GROUP…
+    for group in "$@"; do kill -TERM -- "-$group" 2>/dev/null || true; done
+}
+trap 'stop $worker $watch; exit 130' INT TERM
 began=$SECONDS
 for part in "${parts[@]}"; do
     if [ "$(cut -f3 "$folder/parts/$part" 2>/dev/null)" = done ]; then
@@ -110,14 +118,12 @@ for part in "${parts[@]}"; do
     start=$SECONDS status=0 limit=$(limit_s "$part")
     measure "$part" &
     worker=$!
-    (
-        sleep "$limit"
-        kill -TERM -- "-$worker"
-    ) 2>/dev/null &
+    (sleep "$limit" && stop "$worker") &
     watch=$!
-    wait "$worker" || status=$?
+    wait "$worker" 2>/dev/null || status=$?
     took=$((SECONDS - start))
-    kill -TERM -- "-$watch" 2>/dev/null || true
+    stop "$watch"
+    wait "$watch" 2>/dev/null || true
     case $status in
     0) state="done" ;;
     143) state="stopped after its limit of $limit s" ;;

@@ -107,10 +107,11 @@ fn main() -> anyhow::Result<()> {
         std::fs::write(&file, text).with_context(|| file.display().to_string())?;
         println!("wrote {}", file.display());
     }
-    for block in &sections[1].blocks {
-        if let Block::Table(_, _, rows) = block {
-            rows.iter().for_each(|row| println!("{}", row.join(" · ")));
-        }
+    // The first table of promises; others have details.
+    if let Some(Block::Table(_, _, rows)) =
+        sections[1].blocks.iter().find(|block| matches!(block, Block::Table(..)))
+    {
+        rows.iter().for_each(|row| println!("{}", row.join(" · ")));
     }
     Ok(())
 }
