@@ -43,7 +43,7 @@ benches=(equal painted splats lod pull_push trees planner audit report)
 cargo bench --locked --no-run "${benches[@]/#/--bench=}"
 
 # Measurements of another build, or of another extent, are not continued.
-build="$(cksum <"$binary") $(cat benches/*.rs benches/*/*.rs benches/peers/*.py scripts/report.sh | cksum)"
+build="$(cksum <"$binary") $(cat benches/*.rs benches/common/*.rs benches/peers/*.py | cksum)"
 if is_set "${REPORT_FRESH:-}" || [ "$build" != "$(cat "$folder/build" 2>/dev/null)" ]; then rm -rf "$folder"; fi
 mkdir -p "$folder/benches" "$folder/parts"
 echo "$build" >"$folder/build"
@@ -77,9 +77,9 @@ JSON
 # Limits are in seconds, about twice what a part takes on two cores; together the parts take half of 40 minutes.
 measure() { # PART
     case $1 in
-    town) survey town scenes/town.json ;;
-    plaza) survey plaza scenes/plaza.json --camera assembly ;;
-    relief) survey relief scenes/relief.json ;;
+    town) survey town scenes/town.json --camera overview --size 480x270 ;;
+    plaza) survey plaza scenes/plaza.json --camera assembly --size 480x270 ;;
+    relief) survey relief scenes/relief.json --camera front --size 480x270 ;;
     checkerboard) checkerboard ;;
     stability) "$binary" accuracy --stability -o "$folder/stability" ;;
     equal) bench equal ;;

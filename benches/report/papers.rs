@@ -11,6 +11,10 @@ fn shown(value: Option<f64>) -> String {
     value.map_or("—".to_owned(), number)
 }
 
+fn scientific(value: Option<f64>) -> String {
+    value.map_or("—".to_owned(), |value| format!("{value:.1e}"))
+}
+
 fn ratio(a: Option<f64>, b: Option<f64>) -> Option<f64> {
     Some(a? / b?)
 }
@@ -176,12 +180,11 @@ pub fn zwicker(found: &Found) -> Section {
             row(
                 class["class"].as_str().unwrap_or_default(),
                 [
-                    of(&class["regular"]),
-                    of(&class["ours_outline"]["worst_px"]),
-                    of(&class["ours_outline"]["bound_px"]),
-                    wrong,
-                ]
-                .map(shown),
+                    shown(of(&class["regular"])),
+                    scientific(of(&class["ours_outline"]["worst_px"])),
+                    scientific(of(&class["ours_outline"]["bound_px"])),
+                    shown(wrong),
+                ],
             )
         })
         .collect();
@@ -217,6 +220,9 @@ pub fn dachsbacher(found: &Found) -> Section {
         let (low, high) = values
             .iter()
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(*v), high.max(*v)));
+        if low > high {
+            return "—".to_owned();
+        }
         format!("{} to {}", number(low), number(high))
     };
     let all = |how: &str, what: &str| factors.iter().filter_map(|f| at(how, *f, what)).collect();
@@ -263,6 +269,7 @@ pub fn dachsbacher(found: &Found) -> Section {
         rows.collect(),
     );
     section.tables_of(&bench.0, "CPU time of the render thread");
+    section.text("—: the program drew full detail, which tests no nodes, because that is faster.");
     section.text("Left out: the frame rates of Fig. 8, whose scene is not public.");
     section
 }
