@@ -6,6 +6,8 @@
 //! checked to draw a given colour alike. Errors are pooled over all poses. Our time is recording and all passes of a frame; VTK's is `Render()`
 //! until the driver has drawn; Open3D's includes reading the image back, because it has no call without that.
 //!
+//! `BENCH_EQUAL="200000"` takes other numbers of samples.
+//!
 //! A hole is a black pixel although the truth shows the surface in all of that pixel and of its neighbours; a leak is the opposite.
 
 mod common;
@@ -26,13 +28,13 @@ use pointillist::generate::{Kind, Parameters};
 use pointillist::plan::{Extent, PointSizePx, Settings};
 use serde_json::{Value, json};
 
-const SIZE: u32 = 1024;
+const SIZE: u32 = 768;
 const SEED: u64 = 3;
 const SAMPLES: [u64; 2] = [200_000, 1_000_000];
 /// Turns of the camera about the solid.
 const POSES_DEG: [f64; 3] = [0.0, 100.0, 220.0];
 /// Frames of each way and pose, after one that may compile shaders.
-const REPEATS: usize = 3;
+const REPEATS: usize = 2;
 /// A colour that all programs have to draw alike.
 const FLAT: [u8; 3] = [200, 120, 60];
 
@@ -200,6 +202,7 @@ fn check_colors(side: u32) -> anyhow::Result<()> {
 fn draw(ours: &Drawing, ways: &mut [Way], orbit: &Orbit, truths: &[Truth]) -> anyhow::Result<()> {
     let side = ours.size;
     for repeat in 0..=pick(REPEATS, 1) {
+        println!("{} samples: round {repeat} of {} ways", ours.info.samples, ways.len());
         for (degrees, truth) in POSES_DEG.into_iter().zip(truths) {
             for way in ways.iter_mut() {
                 let (time, pixels) = match &mut way.drawn_by {
@@ -234,7 +237,14 @@ fn main() -> anyhow::Result<()> {
     check_colors(side)?;
     let mut report: Option<Report> = None;
     let (mut equal, mut best, mut all) = (Vec::new(), Vec::new(), Vec::new());
-    for samples in SAMPLES {
+    let given =
+        std::env::var("BENCH_EQUAL").unwrap_or_else(|_| SAMPLES.map(|n| n.to_string()).join(" "));
+    let sizes: Vec<u64> = given
+        .split_whitespace()
+        .map(str::parse)
+        .collect::<Result<_, _>>()
+        .context("BENCH_EQUAL")?;
+    for samples in sizes {
         let count = pick(samples, samples / 100);
         let parameters = Parameters { seed: SEED, points: Some(count), ..Parameters::default() };
         let file =
