@@ -115,9 +115,9 @@ fn peers(file: &Path, orbit: &Orbit, side: u32) -> anyhow::Result<Vec<Way>> {
         }
     }
     let discs =
-        [(0.4, 0), (0.6, 0), (0.9, 0), (0.6, 4)].map(|(times, count)| ("splats", times, count));
+        [(0.6, 0), (0.75, 0), (0.9, 0), (0.75, 4)].map(|(times, count)| ("splats", times, count));
     let gaussians =
-        [(0.4, 0), (0.6, 0), (1.0, 0), (0.6, 4)].map(|(times, count)| ("gaussians", times, count));
+        [(0.6, 0), (1.0, 0), (1.6, 0), (1.0, 4)].map(|(times, count)| ("gaussians", times, count));
     let all = [discs, gaussians].concat();
     for (mode, times, count) in &all[..pick(all.len(), 1)] {
         let kind = if *mode == "splats" { "discs" } else { "Gaussians" };
@@ -258,10 +258,17 @@ fn main() -> anyhow::Result<()> {
             .collect::<anyhow::Result<_>>()?;
         drop(solid);
         let mut ways: Vec<Way> = Vec::new();
+        let mut drawn = Vec::new();
         let extent = pick(Extent::Planned, Extent::Few);
         for row in rows(extent) {
             let settings = Settings::from(row.given).complete();
             ours.bake(settings)?;
+            // Settings that the program draws as earlier ones are left out.
+            let applied = ours.draw(orbit.at(0.0), [side; 2], settings)?.settings.applied;
+            if drawn.contains(&applied) {
+                continue;
+            }
+            drawn.push(applied);
             ways.push(Way::new(row.label, Program::Ours(Box::new(settings))));
         }
         ways.extend(peers(&file, &orbit, side)?);

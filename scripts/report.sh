@@ -66,12 +66,12 @@ survey() { # NAME SCENE [OPTIONS…]
 
 # A ground with a checker, seen at a flat angle, as in Figures 6 and 7 of Zwicker et al. 2004.
 checkerboard() {
-    "$binary" generate checkerboard --points 100000 --seed 1 -o "$folder/checkerboard.ply"
+    "$binary" generate checkerboard --points 60000 --seed 1 -o "$folder/checkerboard.ply"
     cat >"$folder/checkerboard.json" <<'JSON'
 { "assets": { "ground": { "file": "checkerboard.ply" } }, "nodes": [{ "asset": "ground" }], "lights": [],
   "cameras": { "flat": { "eye": [0, 0.35, 5.2], "target": [0, 0, 0], "fov": 40 } } }
 JSON
-    survey checkerboard "$folder/checkerboard.json" --size 512x288 --repeats 3
+    survey checkerboard "$folder/checkerboard.json" --size 320x180 --repeats 1
 }
 
 # Limits are in seconds, about twice what a part takes on two cores; together the parts take half of 40 minutes.
