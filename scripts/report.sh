@@ -2,18 +2,19 @@
 # What accuracy costs in time for three scenes, VTK and Open3D at equal picture error, the tables of four papers with ours beside them, and the
 # promises of frames, in one report: target/report/index.html, report.md, report.json and headline.svg.
 #
-#   scripts/report.sh [PART…]      all parts, or the named ones (town plaza relief checkerboard stability equal painted splats lod pull_push trees planner audit)
+#   scripts/report.sh [PART…]      all parts, or the named ones (town plaza relief equal stability checkerboard planner audit splats pull_push painted lod trees)
 #   REPORT_RECORD=1                copies the plot to docs/img/cost.svg, and the report to benches/results/, named after the day
 #   REPORT_QUICK=1                 smoke check in two minutes: tiny sizes, figures without meaning, in target/report-quick
 #   REPORT_FRESH=1                 measures everything anew
+#   REPORT_MINUTES=N               time for all measurements, without building [30]
 #
-# A part that fails, or that takes longer than its limit, is named in the report, and the others go on. A second run measures only the parts that are
-# missing, unless the program has changed since.
+# A part that fails, or that takes longer than its limit, is named in the report, and the others go on. Parts that the time does not suffice for are left
+# out. A second run measures only the parts that are missing, unless program or benches have changed since.
 set -euo pipefail
 
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 is_set() { [ -n "${1:-}" ] && [ "$1" != 0 ]; }
-all=(town plaza relief checkerboard stability equal painted splats lod pull_push trees planner audit)
+all=(town plaza relief equal stability checkerboard planner audit splats pull_push painted lod trees)
 if [ "$#" -gt 0 ]; then parts=("$@"); else parts=("${all[@]}"); fi
 for part in "${parts[@]}"; do
     case " ${all[*]} " in *" $part "*) ;; *)
@@ -74,7 +75,6 @@ JSON
     survey checkerboard "$folder/checkerboard.json" --size 320x180 --repeats 1
 }
 
-# Limits are in seconds, about twice what a part takes on two cores; together the parts take half of 40 minutes.
 measure() { # PART
     case $1 in
     town) survey town scenes/town.json --camera overview --size 480x270 ;;
@@ -92,6 +92,7 @@ measure() { # PART
     audit) AUDIT_POSES=$audit_poses bench audit ;;
     esac
 }
+# Seconds that a part may take, several times what it takes on two cores with nothing else to do.
 limit_s() {
     case $1 in
     equal) echo 600 ;;
@@ -114,8 +115,15 @@ for part in "${parts[@]}"; do
         echo "report: $part has been measured before"
         continue
     fi
-    echo "== $part"
     start=$SECONDS status=0 limit=$(limit_s "$part")
+    left=$((60 * ${REPORT_MINUTES:-30} - (start - began)))
+    if [ "$left" -lt 10 ]; then
+        echo "report: no time is left for $part" >&2
+        printf '%s\t–\tleft out: no time was left\n' "$part" >"$folder/parts/$part"
+        continue
+    fi
+    if [ "$limit" -gt "$left" ]; then limit=$left; fi
+    echo "== $part"
     measure "$part" &
     worker=$!
     (sleep "$limit" && stop "$worker") &
@@ -158,9 +166,12 @@ if is_set "${REPORT_RECORD:-}"; then
     sed -i 's|(headline.svg)|(../../docs/img/cost.svg)|; /^\[.*index.html)$/d' "benches/results/report-$(date -u +%F).md"
     echo "report: recorded docs/img/cost.svg and benches/results/report-$(date -u +%F).md"
 fi
-failed=$(grep -v $'\tdone$' "$folder/parts.tsv" | cut -f1 | tr '\n' ' ' || true)
-if [ -n "$failed" ]; then
-    echo "report: without: $failed" >&2
+failed=()
+for part in "${parts[@]}"; do
+    if [ "$(cut -f3 "$folder/parts/$part")" != "done" ]; then failed+=("$part"); fi
+done
+if [ "${#failed[@]}" -gt 0 ]; then
+    echo "report: without: ${failed[*]}; the same command measures them again" >&2
     exit 1
 fi
 echo "report: $folder/index.html"
