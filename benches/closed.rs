@@ -13,18 +13,13 @@ use common::drawing::{Drawing, Orbit};
 use common::gaussians::{PEERS, TimedPeer, in_turns};
 use common::peer::Peer;
 use common::report::{Bound, Report, number};
+use common::solid::{self, Solid, footprint, pixels_of_png};
 use common::{files, folder, median, median_ratio, pick};
 use pointillist::accuracy::metrics;
-use pointillist::assets::{Geometry, ReadOptions, read};
-use pointillist::bake::prepare::{AssetTraits, prepare_geometry};
 use pointillist::generate::{Kind, Parameters};
-use pointillist::memory::Admission;
 use pointillist::plan::{Lod, Output, Reconstruct, Settings};
-use pointillist::scene::color::{linear_from_srgb, srgb_from_linear};
 
 const SIZE: u32 = 1024;
-/// How many of the truth's pixels lie along one of a frame's.
-const FINE: usize = 4;
 const SEED: u64 = 3;
 
 /// How many samples, and how much faster than VTK three passes, a single pass and pull-push should be.
@@ -83,80 +78,6 @@ fn main() -> anyhow::Result<()> {
     report.finish()
 }
 
-/// The truth of a pose, as a frame's pixels see it.
-struct Truth {
-    color: Vec<[u8; 4]>,
-    /// The pixel and all its neighbours show the surface wholly.
-    inside: Vec<bool>,
-    /// Neither the pixel nor a neighbour shows the surface.
-    outside: Vec<bool>,
-}
-
-impl Truth {
-    /// Draws the solid of the statues.
-    fn of(ours: &Drawing, orbit: &Orbit) -> anyhow::Result<Truth> {
-        let side = ours.size as usize;
-        let triangles = pick(2_000_000, 20_000);
-        let parameters =
-            Parameters { seed: SEED, triangles: Some(triangles), ..Parameters::default() };
-        let name = format!("relief-seed{SEED}-{triangles}.ply");
-        let file = files::generated(&name, Kind::Relief, &parameters)?;
-        let fine = ours.size * FINE as u32;
-        let solid = Drawing::open(&file, ours.size, |config| {
-            config.max_pixels = config.max_pixels.max(u64::from(fine).pow(2));
-            config.max_side = config.max_side.max(fine);
-        })?;
-        let of = |output| {
-            solid.raw(orbit.at(0.0), [fine; 2], Settings::drawn_as(Reconstruct::Points), output)
-        };
-        let colors: Vec<[u8; 4]> = bytemuck::pod_collect_to_vec(&of(Output::Color)?.bytes);
-        let depths: Vec<f32> = bytemuck::pod_collect_to_vec(&of(Output::Depth)?.bytes);
-        let linear: [f64; 256] = std::array::from_fn(|byte| linear_from_srgb(byte as f64 / 255.0));
-        let under = |pixel: usize| {
-            let (x, y) = (pixel % side * FINE, pixel / side * FINE);
-            (0..FINE * FINE).map(move |i| (y + i / FINE) * side * FINE + x + i % FINE)
-        };
-        let mean = |pixel: usize, channel: usize| {
-            let sum: f64 = under(pixel).map(|i| linear[usize::from(colors[i][channel])]).sum();
-            (255.0 * srgb_from_linear(sum / (FINE * FINE) as f64)).round() as u8
-        };
-        let pixels = || 0..side * side;
-        let color = pixels().map(|i| [mean(i, 0), mean(i, 1), mean(i, 2), 255]).collect();
-        let all: Vec<bool> =
-            pixels().map(|i| under(i).all(|fine| depths[fine].is_finite())).collect();
-        let none: Vec<bool> =
-            pixels().map(|i| under(i).all(|fine| !depths[fine].is_finite())).collect();
-        let shrunk = |mask: &[bool]| metrics::shrunk(mask, ours.size, ours.size, 1);
-        Ok(Truth { color, inside: shrunk(&all)?, outside: shrunk(&none)? })
-    }
-
-    /// Numbers of holes and of leaks.
-    fn faults(&self, covered: &[bool]) -> [u64; 2] {
-        let count = |of: &[bool], is: bool| {
-            of.iter().zip(covered).filter(|(of, covered)| **of && **covered == is).count() as u64
-        };
-        [count(&self.inside, false), count(&self.outside, true)]
-    }
-}
-
-/// Twice the median standard deviation of the kernels that a cloud is given: the radius at which VTK's Gaussians cover what ours do.
-fn footprint(file: &Path) -> anyhow::Result<f64> {
-    let mut asset = read(file, &ReadOptions::default())?;
-    let geometry = asset.geometries.first_mut().context("an empty file")?;
-    prepare_geometry(geometry, &mut AssetTraits::default(), &Admission::default())?;
-    let Geometry::Points(cloud) = geometry else { anyhow::bail!("{}: no cloud", file.display()) };
-    let kernels = cloud.kernels.iter().flatten();
-    let lengths: Vec<f64> =
-        kernels.map(|kernel| f64::from(kernel.u.length().max(kernel.v.length()))).collect();
-    Ok(2.0 * median(&lengths))
-}
-
-/// Pixels of VTK's unturned frame that show anything, from the top row on.
-fn covered_by_vtk(png: &Path) -> anyhow::Result<Vec<bool>> {
-    let image = image::open(png).with_context(|| png.display().to_string())?.to_rgb8();
-    Ok(image.pixels().map(|pixel| pixel.0.iter().any(|channel| *channel > 0)).collect())
-}
-
 fn compare(
     report: &mut Report,
     rows: &mut Vec<Vec<String>>,
@@ -170,7 +91,7 @@ fn compare(
         ours.bake(settings)?;
     }
     let orbit = Orbit::around(&ours.info)?;
-    let truth = Truth::of(ours, &orbit)?;
+    let truth = Solid::open(&solid::mesh(SEED)?, side)?.truth(orbit.at(0.0))?;
     let radius = format!("--radius={}", footprint(file)?);
     let mut peers: Vec<TimedPeer> = Vec::new();
     let mut pictures: Vec<PathBuf> = Vec::new();
@@ -191,7 +112,11 @@ fn compare(
             continue;
         };
         report.value(&format!("{name}, {count} samples"), vtk.finish()?);
-        timed.push((name, Some(peer), Some(truth.faults(&covered_by_vtk(&picture)?))));
+        timed.push((
+            name,
+            Some(peer),
+            Some(truth.faults(&solid::covered(&pixels_of_png(&picture)?))),
+        ));
     }
     let against = |peer: &Option<Vec<f64>>, times: &[f64]| {
         peer.as_ref().map(|peer| median_ratio(peer, times))

@@ -397,6 +397,10 @@ fn distance(report: &mut Report) -> anyhow::Result<()> {
             let (time, share) = (median(&taken.gpu_ms()?), taken.rejected_percent());
             report.value(&format!("distance × {factor}, {how}, GPU ms"), time);
             report.value(&format!("distance × {factor}, {how}, tested but not drawn, %"), share);
+            report.value(&format!("distance × {factor}, {how}, tested"), taken.tested());
+            report.value(&format!("distance × {factor}, {how}, accepted"), taken.accepted());
+            let record = 100.0 * taken.record_ms() / time;
+            report.value(&format!("distance × {factor}, {how}, CPU over GPU time, %"), record);
             rows.push(vec![
                 format!("× {factor}"),
                 number(taken.tested()),

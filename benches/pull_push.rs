@@ -65,6 +65,8 @@ fn main() -> anyhow::Result<()> {
             row.extend([median(&frame), project, pyramid, whole, median(&filled)].map(number));
             row.push(paper.map_or("—".to_owned(), |of| of.map(number).join(", ")));
             rows.push(row);
+            report.value(&format!("{name}, {samples} samples, frame ms"), median(&frame));
+            report.value(&format!("{name}, {samples} samples, projection ms"), project);
             report.value(&format!("{name}, {samples} samples, pull and push ms"), pyramid);
             report.value(&format!("{name}, {samples} samples, all of pull-push ms"), whole);
         }

@@ -7,15 +7,16 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, ensure};
 use common::folder;
-use common::report::{number, render, verdict};
+use common::report::{markdown_table, number, render, verdict};
 use serde_json::{Value, json};
 
-const BENCHES: [&str; 16] = [
+const BENCHES: [&str; 17] = [
     "points",
     "statue",
     "triangles",
     "splats",
     "closed",
+    "equal",
     "pull_push",
     "lines",
     "trees",
@@ -122,15 +123,6 @@ fn markdown(adapter: &str, date: &str, results: &[Value], rows: &[Vec<String>]) 
             text += &format!("\n{}\n\n", table["title"].as_str().unwrap_or_default());
             text += &markdown_table(&header, &rows);
         }
-    }
-    text
-}
-
-fn markdown_table(header: &[&str], rows: &[Vec<String>]) -> String {
-    let mut text =
-        format!("| {} |\n|---|{}\n", header.join(" | "), "--:|".repeat(header.len() - 1));
-    for row in rows {
-        text += &format!("| {} |\n", row.join(" | "));
     }
     text
 }

@@ -51,6 +51,8 @@ fn main() -> anyhow::Result<()> {
             let ratio = median_ratio(&of_triangles, &of_lines);
             let decibels = likeness(&shots)?;
             report.value(&format!("{name}, {place}: triangles over lines"), ratio);
+            report.value(&format!("{name}, {place}: lines ms"), median(&of_lines));
+            report.value(&format!("{name}, {place}: triangles ms"), median(&of_triangles));
             report.value(&format!("{name}, {place}: PSNR dB"), decibels);
             rows.push(vec![
                 format!("{name}, {place}"),

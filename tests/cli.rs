@@ -464,7 +464,7 @@ fn tiles_make_up_an_image() {
     let shell = Shell::new();
     let tiles =
         ["tiles", "cloud.ply", "--size", "300x200", "--eye", "25,25,60", "--target", "25,25,0"];
-    // Frames of 200,000 pixels at most have parts of some 300 × 190.
+    // Frames of 80,000 pixels have parts of 90 × 91.
     let tiles = [&tiles[..], &["--max-pixels", "80000", "--max-side", "320"]].concat();
     let told =
         String::from_utf8(shell.run(&[&tiles[..], &["-o", "a.png"]].concat()).stderr).unwrap();

@@ -12,6 +12,7 @@ pub mod gaussians;
 pub mod peer;
 pub mod report;
 pub mod shots;
+pub mod solid;
 pub mod stream;
 
 use std::path::PathBuf;

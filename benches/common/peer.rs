@@ -1,4 +1,5 @@
-//! VTK, drawing frames on request (`benches/peers/vtk_draw.py --interactive`), and trame, showing them (`trame_view.py`).
+//! VTK and Open3D, drawing frames on request (`benches/peers/vtk_draw.py --interactive`, `open3d_draw.py`), and trame, showing them
+//! (`trame_view.py`).
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
@@ -66,13 +67,21 @@ pub struct Peer {
 
 /// Where `benches/peers/install.sh` puts the peers.
 pub const PYTHON: &str = "target/peers/venv/bin/python";
+/// Libraries that Open3D links to, where the system has none.
+const LIBRARIES: &str = "target/peers/venv/lib/system";
+
+fn python() -> Command {
+    let mut command = Command::new(PYTHON);
+    command.env("LD_LIBRARY_PATH", LIBRARIES);
+    command
+}
 
 /// Whether Python is there and has a module; says so where not.
 pub fn is_installed(name: &str, module: &str) -> bool {
     let find =
         format!("import importlib.util as u, sys; sys.exit(u.find_spec('{module}') is None)");
     let found = Path::new(PYTHON).exists()
-        && Command::new(PYTHON).args(["-c", &find]).status().is_ok_and(|status| status.success());
+        && python().args(["-c", &find]).status().is_ok_and(|status| status.success());
     if !found {
         println!("!! SKIPPED: {name}; benches/peers/install.sh brings it");
     }
@@ -91,6 +100,19 @@ impl Peer {
         args: &[&str],
     ) -> anyhow::Result<Option<Peer>> {
         Peer::start(["VTK", "vtkmodules", "vtk_draw.py"], file, orbit, size, args)
+    }
+
+    /// As [`Peer::vtk`], with Open3D, which draws the file's vertices as points.
+    ///
+    /// # Errors
+    /// Open3D fails.
+    pub fn open3d(
+        file: &Path,
+        orbit: &Orbit,
+        size: u32,
+        args: &[&str],
+    ) -> anyhow::Result<Option<Peer>> {
+        Peer::start(["Open3D", "open3d", "open3d_draw.py"], file, orbit, size, args)
     }
 
     /// Starts a remote view of trame's; its frames are those that a client of it has got.
@@ -117,7 +139,7 @@ impl Peer {
             return Ok(None);
         }
         let vector = |v: glam::DVec3| format!("{},{},{}", v.x, v.y, v.z);
-        let mut child = Command::new(PYTHON)
+        let mut child = python()
             .arg(Path::new("benches/peers").join(script))
             .arg(file)
             .arg(format!("--eye={}", vector(orbit.eye)))
@@ -170,6 +192,14 @@ impl Peer {
     /// The peer has ended.
     pub fn frame_from_ms(&mut self, degrees: f64, distance: f64) -> anyhow::Result<f64> {
         self.ask(&format!("{degrees} {distance}"))
+    }
+
+    /// As [`Peer::frame_ms`]; the frame is also written to a PNG, outside of what is timed. trame's script writes none.
+    ///
+    /// # Errors
+    /// The peer has ended.
+    pub fn frame_saved_ms(&mut self, degrees: f64, png: &Path) -> anyhow::Result<f64> {
+        self.ask(&format!("{degrees} 1 {}", png.display()))
     }
 
     fn ask(&mut self, pose: &str) -> anyhow::Result<f64> {

@@ -110,6 +110,16 @@ pub fn render(header: &[&str], rows: &[Vec<String>]) -> Table {
     table
 }
 
+/// A table of Markdown, its first column to the left.
+pub fn markdown_table(header: &[&str], rows: &[Vec<String>]) -> String {
+    let mut text =
+        format!("| {} |\n|---|{}\n", header.join(" | "), "--:|".repeat(header.len() - 1));
+    for row in rows {
+        text += &format!("| {} |\n", row.join(" | "));
+    }
+    text
+}
+
 /// Three or four significant digits, thousands grouped.
 pub fn number(value: f64) -> String {
     let size = value.abs();

@@ -8,8 +8,34 @@ venv=${1:-$here/target/peers/venv}
 
 # All that the scripts import: an environment of an earlier time may have VTK and no trame.
 imports='import aiohttp, laspy, nibabel, numpy, PIL, vtk, trame.app, trame.widgets.vtk, trame_server.client'
+lib=$venv/lib/system
+# Open3D links to a library for depth cameras that machines without a desktop lack. It is unpacked beside Open3D, so that nothing outside the folder
+# changes; the scripts are run with this folder on LD_LIBRARY_PATH.
+open3d() {
+    local python=$venv/bin/python
+    has() { LD_LIBRARY_PATH=$lib "$python" -c 'import open3d' 2>/dev/null; }
+    has && return
+    "$venv/bin/pip" install --quiet --disable-pip-version-check 'open3d-cpu>=0.19' || return 1
+    has && return
+    local unpacked
+    unpacked=$(mktemp -d)
+    (cd "$unpacked" && apt-get download libusb-1.0-0 >/dev/null 2>&1 && dpkg -x libusb-1.0-0_*.deb .) || true
+    mkdir -p "$lib"
+    find "$unpacked" -name 'libusb-1.0.so.*' -exec cp -d {} "$lib" \;
+    rm -rf "$unpacked"
+    has
+}
+add_open3d() {
+    if open3d; then
+        echo "peers: open3d $("$venv/bin/pip" show open3d-cpu | sed -n 's/^Version: //p')"
+    else
+        echo "peers: no Open3D: open3d-cpu from PyPI cannot be installed or loaded here (Debian: libusb-1.0-0)" >&2
+    fi
+}
+
 if [ -x "$venv/bin/python" ] && "$venv/bin/python" -c "$imports" 2>/dev/null; then
     echo "peers: already installed in $venv"
+    add_open3d
     exit 0
 fi
 
@@ -38,3 +64,4 @@ fi
 from importlib.metadata import version
 print("peers: " + ", ".join(f"{name} {version(name)}" for name in ("vtk", "numpy", "trame", "trame-vtk", "laspy", "nibabel")))
 PY
+add_open3d

@@ -31,7 +31,7 @@ drawn by one `vtkGlyph3DMapper`. Matrices turn, scale evenly and move.
 With `--interactive` the frames come on request, so that another program's can be timed in between: one line
 `{"ready": …}` when all is loaded and warm, then for each line on standard input, a number of degrees, one
 line with that frame's milliseconds; the summary follows the end of the input. A second number is the camera's distance, in units
-of the pose's own.
+of the pose's own. What follows it on the line is a file that the frame is written to as a PNG, outside of what is timed.
 """
 import argparse
 import json
@@ -436,8 +436,9 @@ def parse_arguments():
     return parser.parse_args()
 
 
-def timed(args, frame, load_ms, first_ms):
-    """Milliseconds of frames, as the arguments or standard input ask for them; `frame` draws at a number of degrees."""
+def timed(args, frame, load_ms, first_ms, save=None):
+    """Milliseconds of frames, as the arguments or standard input ask for them; `frame` draws at a number of degrees, and `save` writes
+    the frame drawn last to a file."""
     for index in range(args.warmup):
         frame((index + 1) * args.step)
     if not args.interactive:
@@ -445,7 +446,10 @@ def timed(args, frame, load_ms, first_ms):
     print(json.dumps({"ready": True, "load_ms": round(load_ms, 1), "first_ms": round(first_ms, 1)}), flush=True)
     times = []
     for line in sys.stdin:
-        times.append(frame(*(float(word) for word in line.split())))
+        words = line.rstrip("\n").split(" ", 2)
+        times.append(frame(*(float(word) for word in words[:2])))
+        if len(words) > 2:
+            save(words[2])
         print(f"{times[-1]:.3f}", flush=True)
     return times
 
@@ -488,7 +492,7 @@ def main():
     if args.png:
         image = write_png(scene.window, args.png)
         covered = int((image[:, :3].max(axis=1) > 0).sum())
-    times = timed(args, frame, scene.load_ms, first_ms)
+    times = timed(args, frame, scene.load_ms, first_ms, lambda file: write_png(scene.window, file))
     if not times:
         return
     described = scene.described()

@@ -11,7 +11,9 @@
 //!                           engine    frame
 //! ```
 //! [`truth`] holds the frame that errors are measured against, [`mod@difference`] the errors of one image, and [`service`] the surveys of a daemon.
+//! [`cost`] compares the reports of several scenes: what one more decibel costs in each.
 //! [`planning`] measures many settings at many poses for the planner ([`crate::plan::planner`]).
+pub mod cost;
 mod date;
 pub mod difference;
 pub mod journal;

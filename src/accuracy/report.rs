@@ -1,15 +1,20 @@
-//! The report of a survey: JSON, Markdown, an SVG and one self-contained HTML page, all made of the same [`Results`].
+//! The report of a survey: JSON, Markdown, an SVG and one self-contained HTML page, all made of the same [`Results`]. Several reports
+//! together tell what accuracy costs in several scenes ([`Costs`]).
 
+mod cost;
 mod markdown;
 mod page;
+mod plot;
 mod svg;
 
 use std::path::{Path, PathBuf};
 
+pub use cost::{cost_markdown, cost_svg};
 pub use markdown::markdown;
 pub use page::{Images, MOST_IMAGE_BYTES, page};
 pub use svg::svg;
 
+use super::cost::Costs;
 use super::journal::write_whole;
 use super::results::Results;
 use crate::encode::EncodeError;
@@ -42,10 +47,29 @@ pub fn write(folder: &Path, results: &Results) -> Result<PathBuf, ReportError> {
         ("accuracy.svg", plot),
         ("index.html", page(results, &images)?),
     ] {
-        let file = folder.join(name);
-        write_whole(&file, text.as_bytes()).map_err(|error| ReportError::Io { file, error })?;
+        write_file(folder.join(name), &text)?;
     }
     Ok(folder.join("index.html"))
+}
+
+/// Writes `cost.json`, `cost.md` and `cost.svg` into the folder, which is created if missing. Returns the path of the plot.
+///
+/// # Errors
+/// The folder cannot be created, or a file cannot be written.
+pub fn write_costs(folder: &Path, costs: &Costs) -> Result<PathBuf, ReportError> {
+    std::fs::create_dir_all(folder)
+        .map_err(|error| ReportError::Io { file: folder.to_owned(), error })?;
+    let json = serde_json::to_string_pretty(costs)? + "\n";
+    for (name, text) in
+        [("cost.json", json), ("cost.md", cost_markdown(costs)), ("cost.svg", cost_svg(costs))]
+    {
+        write_file(folder.join(name), &text)?;
+    }
+    Ok(folder.join("cost.svg"))
+}
+
+fn write_file(file: PathBuf, text: &str) -> Result<(), ReportError> {
+    write_whole(&file, text.as_bytes()).map_err(|error| ReportError::Io { file, error })
 }
 
 /// Opaque colour of a FLIP value in 0..=1.

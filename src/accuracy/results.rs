@@ -14,7 +14,7 @@ use crate::plan::Given;
 pub const ALL_POSES: &str = "all poses";
 
 /// Family of frames that show no samples.
-const NO_SAMPLES: &str = "meshes, lines";
+pub(super) const NO_SAMPLES: &str = "meshes, lines";
 
 /// Everything that a report shows.
 #[derive(Clone, Debug, Serialize, utoipa::ToSchema)]
@@ -393,7 +393,7 @@ pub fn three_digits(value: f64) -> String {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::accuracy::journal::PoseRecord;
 
@@ -426,7 +426,7 @@ pub(super) mod tests {
     }
 
     /// Results of two poses and five rows: two on the front, one that is beaten, one that is drawn as another and one that is refused.
-    pub(in crate::accuracy) fn results() -> Results {
+    pub(crate) fn results() -> Results {
         let row = |label: &str| Row {
             label: label.into(),
             family: label[..3].into(),

@@ -164,7 +164,7 @@ pub fn hybrid_mesh(
     let spacing = usual / PER_SIDE;
     let is_large = |side: f64| side > LARGE * spacing;
     let (small, numbers) =
-        part_of(mesh, |triangle| !is_large(sides[triangle]) && !lasting[triangle]);
+        wanted_part(mesh, |triangle| !is_large(sides[triangle]) && !lasting[triangle]);
     let options = RasteriseOptions { spacing: Some(spacing), max_samples };
     let small_sides: Vec<f64> = numbers.iter().map(|&number| sides[number as usize]).collect();
     let (rasterised, replaced) =
@@ -262,7 +262,7 @@ fn outward(mesh: &Mesh, triangle: [u32; 3], normal: Vec3) -> Vec3 {
 }
 
 /// The wanted triangles, with all vertices, and the index of each in the whole mesh.
-fn part_of(mesh: &Mesh, wanted: impl Fn(usize) -> bool) -> (Mesh, Vec<u32>) {
+fn wanted_part(mesh: &Mesh, wanted: impl Fn(usize) -> bool) -> (Mesh, Vec<u32>) {
     let mut numbers = Vec::with_capacity(mesh.triangles.len());
     let mut parts = Vec::with_capacity(mesh.parts.len());
     let mut first = 0usize;

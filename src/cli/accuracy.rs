@@ -14,6 +14,7 @@ use super::frame::size;
 use super::local::{ID, LimitArgs, SceneArgs, SceneFile, progress_bar};
 use super::out::{self, say};
 use super::path::{LINE_EVERY, bake, stop_when_told};
+use crate::accuracy::cost::{Costs, Curve};
 use crate::accuracy::journal::Journal;
 use crate::accuracy::planning::{self, Planning};
 use crate::accuracy::reference::Reference;
@@ -32,8 +33,8 @@ pub struct AccuracyArgs {
     /// Scene file (.json), or one file of points, lines or triangles, whose settings are compared
     #[arg(
         value_name = "SCENE_OR_ASSET",
-        required_unless_present = "stability",
-        conflicts_with = "stability"
+        required_unless_present_any = ["stability", "combine"],
+        conflicts_with_all = ["stability", "combine"]
     )]
     scene: Option<PathBuf>,
     /// Compare the splat shaders on this adapter with exact results for hard cases; fails if an error bound is exceeded
@@ -43,8 +44,17 @@ pub struct AccuracyArgs {
     /// trees once all are made
     #[arg(long, conflicts_with_all = ["stability", "out", "camera", "repeats", "quick", "oracle"])]
     planner: bool,
+    /// Say what one more decibel costs in several scenes: one plot and one table of the reports in these folders
+    #[arg(
+        long,
+        value_name = "REPORT",
+        num_args = 1..,
+        requires = "out",
+        conflicts_with_all = ["stability", "planner", "camera", "size", "repeats", "quick", "oracle"]
+    )]
+    combine: Vec<PathBuf>,
     /// Folder for the report, created if missing: index.html, accuracy.json, .md and .svg, and frames; with --stability
-    /// stability.json and stability.md
+    /// stability.json and stability.md; with --combine cost.json, .md and .svg
     #[arg(short, long, alias = "output", value_name = "FOLDER")]
     out: Option<PathBuf>,
     /// Name of a camera in the scene; may be repeated [default: the first five, or five views around the scene if it has none]
@@ -88,8 +98,31 @@ pub fn run(args: &AccuracyArgs) -> Result<()> {
     match &args.scene {
         Some(scene) if args.planner => plan(args, scene),
         Some(scene) => survey(args, scene),
-        None => check_stability(args),
+        None if args.combine.is_empty() => check_stability(args),
+        None => combine(args),
     }
+}
+
+/// Compares the reports of several scenes.
+fn combine(args: &AccuracyArgs) -> Result<()> {
+    let Some(folder) = &args.out else {
+        bail!("no folder for the comparison was given: add -o FOLDER");
+    };
+    let read = |report: &PathBuf| {
+        let file = if report.is_dir() { report.join("accuracy.json") } else { report.clone() };
+        let text = std::fs::read_to_string(&file)
+            .with_context(|| format!("reading the report {}", file.display()))?;
+        Curve::read(&text).with_context(|| file.display().to_string())
+    };
+    let costs = Costs::new(args.combine.iter().map(read).collect::<Result<_>>()?);
+    let plot = report::write_costs(folder, &costs)?;
+    if args.json {
+        out::print(&(serde_json::to_string_pretty(&costs)? + "\n"))?;
+    } else {
+        out::print(&format!("{}\n", costs.summary))?;
+    }
+    say!("{}: the plot, with the tables beside it", plot.display());
+    Ok(())
 }
 
 /// Loads the scene whose settings are compared.
@@ -350,5 +383,31 @@ mod tests {
         assert!(parse(&["s.json", "--repeats", "0"]).is_err());
         let error = run(&parse(&["s.json"]).unwrap()).unwrap_err();
         assert!(error.to_string().contains("-o FOLDER"), "{error}");
+    }
+
+    #[test]
+    fn combining_takes_reports_and_a_folder_and_nothing_else() {
+        let args = parse(&["--combine", "a", "b/accuracy.json", "-o", "r"]).unwrap();
+        assert_eq!(args.combine, [PathBuf::from("a"), PathBuf::from("b/accuracy.json")]);
+        assert!(parse(&["--combine", "a"]).is_err());
+        assert!(parse(&["s.json", "--combine", "a", "-o", "r"]).is_err());
+        assert!(parse(&["--combine", "a", "-o", "r", "--quick"]).is_err());
+        let folder = tempfile::tempdir().unwrap();
+        let (report, output) = (folder.path().join("report"), folder.path().join("new"));
+        let line = ["--combine", report.to_str().unwrap(), "-o", output.to_str().unwrap()];
+        let told = format!("{:#}", run(&parse(&line).unwrap()).unwrap_err());
+        assert!(told.contains("reading the report"), "{told}");
+        std::fs::create_dir(&report).unwrap();
+        std::fs::write(report.join("accuracy.json"), "{}").unwrap();
+        let told = format!("{:#}", run(&parse(&line).unwrap()).unwrap_err());
+        assert!(told.contains("accuracy.json: not the accuracy.json of a report"), "{told}");
+        assert!(!output.exists());
+        let results = crate::accuracy::results::tests::results();
+        let json = serde_json::to_string(&results).unwrap();
+        std::fs::write(report.join("accuracy.json"), json).unwrap();
+        run(&parse(&line).unwrap()).unwrap();
+        for file in ["cost.json", "cost.md", "cost.svg"] {
+            assert!(output.join(file).metadata().unwrap().len() > 500, "{file}");
+        }
     }
 }

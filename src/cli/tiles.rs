@@ -52,7 +52,7 @@ pub fn run(args: TilesArgs) -> anyhow::Result<()> {
         width.max(height) <= MOST_WHOLE_PX,
         "--size: {width}x{height} is too large; accepted: up to {MOST_WHOLE_PX} pixels a side"
     );
-    ensure!(request.settings.part_of.is_none(), "--part-of: this command chooses the parts itself");
+    ensure!(!request.settings.is_part(), "--part-of: this command chooses the parts itself");
     let is_pyramid = match args.file.extension().and_then(|extension| extension.to_str()) {
         Some("png") => false,
         Some("dzi") => true,
@@ -87,10 +87,11 @@ pub fn run(args: TilesArgs) -> anyhow::Result<()> {
 fn step_within(pixels: u64, side: u32) -> Option<[u32; 2]> {
     // What is around begins at a multiple of the margin.
     let around = 3 * MARGIN_PX;
-    let width =
-        FRAME_PX[0].min(side).min(u32::try_from(pixels / u64::from(2 * around)).unwrap_or(side));
-    let height = u64::from(FRAME_PX[1].min(side)).min(pixels / u64::from(width.max(1))) as u32;
-    let step = [width, height].map(|side| side.saturating_sub(around));
+    let (wide, high) = (FRAME_PX[0].min(side), FRAME_PX[1].min(side));
+    // Nearly square where there are few.
+    let width = u64::from(wide).min(pixels.isqrt().max(pixels / u64::from(high).max(1)));
+    let height = u64::from(high).min(pixels / width.max(1));
+    let step = [width, height].map(|side| (side as u32).saturating_sub(around));
     (step[0] >= MARGIN_PX && step[1] >= MARGIN_PX).then_some(step)
 }
 
@@ -114,7 +115,7 @@ impl Whole<'_> {
         let part = ImagePart { width: self.size[0], height: self.size[1], x, y };
         let mut request =
             FrameRequest { width, height, format: ImageFormat::Raw, ..self.request.clone() };
-        request.settings.part_of = Some(part);
+        request.settings = request.settings.as_part(part);
         request
     }
 

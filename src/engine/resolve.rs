@@ -19,8 +19,8 @@ use crate::math::View;
 use crate::passes::{Levels, PAINTED_BYTES, PATCH_BYTES, SLABS_BYTES, Slabs};
 use crate::plan::auto::{self, Choice};
 use crate::plan::{
-    AdapterFacts, Antialias, ColorBy, Edl, Output, Reconstruct, Reconstruction, SceneFacts,
-    Settings, Wait,
+    AdapterFacts, Antialias, ColorBy, Edl, ImagePart, Output, Reconstruct, Reconstruction,
+    SceneFacts, Settings, Wait,
 };
 use crate::residency::model::SceneModel;
 use crate::scene::clipping::ClipRegion;
@@ -162,7 +162,7 @@ fn prepared(
 ) -> Result<(FrameRequest, Option<PlannedFrame>), EngineError> {
     if request.settings.goal().is_some() && request.settings.is_part() {
         return Err(EngineError::BadParameter {
-            parameter: "part_of",
+            parameter: ImagePart::NAME,
             reason: "settings would be chosen anew for each part of the image".to_owned(),
             accepted: "no value beside `budget_ms` or `min_psnr_db`".to_owned(),
         });

@@ -6,7 +6,7 @@ use super::loaded::Loaded;
 use super::receipt::CameraReceipt;
 use super::{EngineError, FrameRequest, Pose};
 use crate::math::{Camera, CameraError, FOV_RANGE_DEG, ORTHO_HEIGHT_RANGE, View};
-use crate::plan::Settings;
+use crate::plan::{ImagePart, Settings};
 use crate::scene::clipping::ClipRegion;
 
 /// Returns the boxes that a frame is clipped with, at their place in the scene.
@@ -60,7 +60,7 @@ pub fn shown_part(whole: &View, request: &FrameRequest) -> Result<View, EngineEr
     ] {
         if place.checked_add(side).is_none_or(|end| end > all) {
             return Err(EngineError::BadParameter {
-                parameter: "part_of",
+                parameter: ImagePart::NAME,
                 reason: format!(
                     "the image has {all} {name}, and a frame of {side} that begins at {place} reaches beyond them"
                 ),
@@ -88,7 +88,7 @@ pub fn pose(
         Pose::View(view) => {
             if request.settings.part_of.is_some() {
                 return Err(EngineError::BadParameter {
-                    parameter: "part_of",
+                    parameter: ImagePart::NAME,
                     reason: "`view` and `proj` say themselves which part of an image they show"
                         .to_owned(),
                     accepted: "no value, or a pose of another kind".to_owned(),

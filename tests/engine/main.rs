@@ -29,6 +29,7 @@ mod parts;
 mod picks;
 mod pipelines;
 mod planner;
+mod plans;
 mod queueing;
 mod rounds;
 mod sheets;

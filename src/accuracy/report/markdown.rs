@@ -53,7 +53,7 @@ fn ms(entry: &Entry) -> f64 {
 }
 
 /// Text of a cell of a table.
-fn cell(text: &str) -> String {
+pub(super) fn cell(text: &str) -> String {
     text.split_whitespace()
         .collect::<Vec<_>>()
         .join(" ")

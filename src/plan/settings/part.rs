@@ -24,6 +24,8 @@ pub struct ImagePart {
 }
 
 impl ImagePart {
+    /// The setting's name.
+    pub const NAME: &str = "part_of";
     const PATTERN: &str = "^ *[0-9]{1,6}( *, *[0-9]{1,6}){3} *$";
 
     pub(super) fn kind() -> SettingKind {
@@ -37,6 +39,12 @@ impl ImagePart {
 }
 
 impl Settings {
+    /// These settings for a part of an image.
+    #[must_use]
+    pub fn as_part(self, part: ImagePart) -> Settings {
+        Settings { part_of: Some(part), ..self }
+    }
+
     /// Whether the frame is a part of a larger image.
     pub fn is_part(&self) -> bool {
         self.part_of.is_some()

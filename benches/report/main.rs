@@ -1,0 +1,255 @@
+//! The report of `make report`: what accuracy costs in three scenes, the peers at equal picture error, the tables of the four papers, and the
+//! promises, from what `scripts/report.sh` has measured into `target/report/`, or into the folder of `REPORT_FOLDER`.
+//!
+//! Writes `report.md`, `report.json` and one self-contained `index.html` beside the measurements.
+
+#[path = "../common/mod.rs"]
+mod common;
+mod page;
+mod papers;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use common::report::{number, verdict};
+use page::{Block, Section, html, markdown};
+use serde_json::{Map, Value, json};
+
+const TITLE: &str = "Pointillist: what accuracy costs, beside peers and papers";
+/// Benches whose promises are printed.
+const PROMISING: [&str; 2] = ["planner", "audit"];
+
+/// A bench's JSON.
+pub struct Bench(Value);
+
+impl Bench {
+    /// A figure by its name.
+    pub fn value(&self, name: &str) -> Option<f64> {
+        self.0["values"][name].as_f64()
+    }
+}
+
+/// Everything that was measured.
+pub struct Found {
+    folder: PathBuf,
+    benches: Map<String, Value>,
+    costs: Value,
+    stability: Value,
+    checkerboard: Value,
+    /// Name, seconds and state of each part.
+    parts: Vec<Vec<String>>,
+}
+
+impl Found {
+    fn read(folder: &Path) -> anyhow::Result<Found> {
+        let json = |name: &str| -> anyhow::Result<Value> {
+            let file = folder.join(name);
+            if !file.exists() {
+                return Ok(Value::Null);
+            }
+            let bytes = std::fs::read(&file).with_context(|| file.display().to_string())?;
+            serde_json::from_slice(&bytes).with_context(|| file.display().to_string())
+        };
+        let mut benches = Map::new();
+        for name in ["equal", "painted", "splats", "lod", "pull_push", "trees", "planner", "audit"]
+        {
+            let found = json(&format!("benches/{name}.json"))?;
+            if !found.is_null() {
+                benches.insert(name.to_owned(), found);
+            }
+        }
+        let parts = std::fs::read_to_string(folder.join("parts.tsv")).context("parts.tsv")?;
+        Ok(Found {
+            folder: folder.to_owned(),
+            benches,
+            costs: json("cost.json")?,
+            stability: json("stability/stability.json")?,
+            checkerboard: json("checkerboard/accuracy.json")?,
+            parts: parts
+                .lines()
+                .map(|line| line.split('\t').map(str::to_owned).collect())
+                .collect(),
+        })
+    }
+
+    pub fn bench(&self, name: &str) -> Option<Bench> {
+        self.benches.get(name).cloned().map(Bench)
+    }
+}
+
+fn main() -> anyhow::Result<()> {
+    let folder = std::env::var_os("REPORT_FOLDER").map_or("target/report".into(), PathBuf::from);
+    let found = Found::read(&folder)?;
+    let sections = [
+        headline(&found)?,
+        promises(&found),
+        peers(&found),
+        papers::dachsbacher(&found),
+        papers::zwicker(&found),
+        papers::marroquim(&found),
+        papers::coconu(&found),
+        circumstances(&found),
+    ];
+    let all = json!({
+        "title": TITLE,
+        "quick": is_quick(&found),
+        "sections": sections.iter().map(Section::json).collect::<Vec<_>>(),
+        "costs": found.costs,
+        "stability": found.stability,
+        "benches": found.benches,
+    });
+    for (name, text) in [
+        ("report.md", markdown(TITLE, &sections)),
+        ("report.json", serde_json::to_string_pretty(&all)? + "\n"),
+        ("index.html", html(TITLE, &sections)),
+    ] {
+        let file = folder.join(name);
+        std::fs::write(&file, text).with_context(|| file.display().to_string())?;
+        println!("wrote {}", file.display());
+    }
+    // The first table of promises; others have details.
+    if let Some(Block::Table(_, _, rows)) =
+        sections[1].blocks.iter().find(|block| matches!(block, Block::Table(..)))
+    {
+        rows.iter().for_each(|row| println!("{}", row.join(" · ")));
+    }
+    Ok(())
+}
+
+/// Whether a bench was a smoke check.
+fn is_quick(found: &Found) -> bool {
+    found.benches.values().any(|bench| bench["quick"] == true)
+}
+
+fn headline(found: &Found) -> anyhow::Result<Section> {
+    let mut section = Section::new("What does one more decibel cost?");
+    let plot = found.folder.join("headline.svg");
+    if is_quick(found) {
+        section.text("A smoke check: its figures mean nothing.");
+    }
+    if !plot.exists() {
+        section.text("The scenes have not been measured.");
+        return Ok(section);
+    }
+    section.text(found.costs["summary"].as_str().unwrap_or_default());
+    section.blocks.push(Block::Plot(std::fs::read_to_string(plot)?, "headline.svg"));
+    let curves: Vec<&Value> = found.costs["curves"].as_array().into_iter().flatten().collect();
+    let mut columns = vec!["at least".to_owned()];
+    for curve in &curves {
+        let scene = curve["scene"].as_str().unwrap_or_default();
+        columns.extend([format!("{scene}: setting"), "GPU, ms".to_owned(), "×".to_owned()]);
+    }
+    let mut rows = Vec::new();
+    for level in found.costs["levels"].as_array().into_iter().flatten() {
+        let mut row =
+            vec![format!("{} dB", number(level["least_db"].as_f64().unwrap_or(f64::NAN)))];
+        for reached in level["scenes"].as_array().into_iter().flatten() {
+            let shown = |key: &str| reached[key].as_f64().map_or("—".to_owned(), number);
+            let setting = reached["label"].as_str().unwrap_or("not reached").to_owned();
+            row.extend([setting, shown("gpu_ms"), shown("times")]);
+        }
+        rows.push(row);
+    }
+    let columns: Vec<&str> = columns.iter().map(String::as_str).collect();
+    section.table(
+        "The fastest setting with at least so many decibels; × is its time over that of the row above",
+        &columns,
+        rows,
+    );
+    for curve in curves {
+        let scene = curve["scene"].as_str().unwrap_or_default();
+        let name = scene.trim_end_matches(".json");
+        section.blocks.push(Block::Link(
+            format!("{name}/index.html"),
+            format!("{scene}: every setting, with its frame and its difference from the reference"),
+        ));
+    }
+    Ok(section)
+}
+
+fn promises(found: &Found) -> Section {
+    let mut section = Section::new("Promises");
+    let mut rows = Vec::new();
+    for name in PROMISING {
+        let Some(bench) = found.bench(name) else {
+            section.text(format!("The bench {name} has no results."));
+            continue;
+        };
+        for target in bench.0["targets"].as_array().into_iter().flatten() {
+            let text = |key: &str| target[key].as_str().unwrap_or_default();
+            rows.push(vec![
+                format!("{name}: {}", text("what")),
+                format!(
+                    "{} {}",
+                    target["measured"].as_f64().map_or("—".to_owned(), number),
+                    text("unit")
+                ),
+                format!("{} {}", text("target"), text("unit")),
+                verdict(target["met"].as_bool()).to_owned(),
+            ]);
+        }
+    }
+    section.table(
+        "What frames promise, and what was found",
+        &["promise", "found", "bound", ""],
+        rows,
+    );
+    for name in PROMISING {
+        if let Some(bench) = found.bench(name) {
+            section.tables_of(&bench.0, "");
+        }
+    }
+    section
+}
+
+fn peers(found: &Found) -> Section {
+    let mut section = Section::new("Peers at equal picture error");
+    let Some(bench) = found.bench("equal") else {
+        section.text("The bench equal has no results.");
+        return section;
+    };
+    section.text(
+        "A coloured, unlit surface of random samples from three poses. The truth is the solid itself, a mesh of two million triangles at 16 times the \
+         pixels, averaged in linear light and as bytes; the average that is nearer to a frame counts. Flat colours come out equal in all programs, which \
+         is checked before. Every row is on the Pareto front of its program: it has no faster way to draw that is as exact. Our time is recording and all \
+         passes; VTK's is Render() until the driver has drawn; Open3D's includes reading the image back.",
+    );
+    let names = bench.0["values"].as_object().into_iter().flatten().map(|(name, _)| name.clone());
+    let names: Vec<String> = names.collect();
+    for peer in ["VTK", "Open3D"] {
+        if !names.iter().any(|name| name.starts_with(&format!("{peer}, "))) {
+            section.text(format!("{peer} could not draw here, and has no rows."));
+        }
+    }
+    section.tables_of(&bench.0, "");
+    section
+}
+
+fn circumstances(found: &Found) -> Section {
+    let mut section = Section::new("How it was measured");
+    let mut rows = Vec::new();
+    for (name, bench) in &found.benches {
+        let machine = &bench["machine"];
+        let text = |value: &Value| match value {
+            Value::String(text) => text.clone(),
+            Value::Null => "—".to_owned(),
+            other => other.to_string(),
+        };
+        rows.push(vec![
+            name.clone(),
+            text(&bench["adapter"]),
+            text(&machine["cpu"]),
+            text(&machine["cores"]),
+            text(&machine["commit"]),
+            text(&machine["changed_since_commit"]),
+            text(&machine["load_average_1_min"]),
+        ]);
+    }
+    section.table(
+        "Machine; a load of more than the number of cores means that other programs ran besides",
+        &["bench", "adapter", "CPU", "cores", "commit", "changed since", "load when it ended"],
+        rows,
+    );
+    section.table("Parts of the report", &["part", "seconds", "state"], found.parts.clone());
+    section
+}

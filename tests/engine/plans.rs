@@ -1,0 +1,93 @@
+//! The passes of every shipped scene: what a scene does not call for does not run.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use pointillist::engine::{FrameRequest, Pose};
+use pointillist::plan::{Edl, Effect, Settings, Shadows};
+
+use super::studio::{Studio, front};
+
+/// Scenes and the passes of their default view at default settings.
+const SHIPPED: [(&str, &str); 8] = [
+    (
+        "glasshouse",
+        "shadow_map clear place cull scan compact project_triangles walk_triangles resolve_triangles project_triangles_layers walk_triangles_layers resolve_triangles_layers composite_layers",
+    ),
+    (
+        "materials",
+        "shadow_map clear place cull scan compact project_triangles walk_triangles resolve_triangles ambient_occlusion write_output",
+    ),
+    ("neurons", "clear place cull scan compact project_lines walk_lines resolve_lines"),
+    (
+        "part",
+        "clear place cull scan compact project_splats walk_splats blend_splats blend_walked resolve_splats",
+    ),
+    (
+        "plaza",
+        "shadow_map clear fog_background place cull scan compact launch_portions project_triangles walk_triangles depth_pyramid cull_hidden resolve_triangles",
+    ),
+    ("relief", "clear place cull scan compact project_triangles walk_triangles resolve_triangles"),
+    (
+        "textured",
+        "shadow_map clear place cull scan compact project_triangles walk_triangles resolve_triangles ambient_occlusion write_output",
+    ),
+    (
+        "town",
+        "clear place cull scan compact launch_portions project_splats walk_splats depth_pyramid cull_hidden blend_splats blend_walked resolve_splats write_output",
+    ),
+];
+
+fn passes(studio: &Studio, scene: &str, settings: Settings) -> String {
+    let request = FrameRequest { pose: Pose::FIT, settings, ..front(scene, 320, 240) };
+    let frame = studio.engine.resolve_blocking(request).unwrap();
+    let ran = frame.plan().passes.iter().filter(|planned| planned.skipped.is_none());
+    ran.map(|planned| planned.pass.name()).collect::<Vec<_>>().join(" ")
+}
+
+#[test]
+fn shipped_scenes_run_the_passes_that_they_call_for() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes");
+    let studio = Studio::below(&root, |_| {});
+    let mut found = BTreeMap::new();
+    for entry in std::fs::read_dir(&root).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_some_and(|extension| extension == "json") {
+            let name = path.file_stem().unwrap().to_str().unwrap().to_owned();
+            studio.engine.load(&name, &path).unwrap();
+            found.insert(name.clone(), passes(&studio, &name, Settings::default()));
+        }
+    }
+    for (name, passes) in &found {
+        println!("    (\"{name}\", \"{passes}\"),");
+    }
+    let expected = SHIPPED.map(|(name, passes)| (name.to_owned(), passes.to_owned()));
+    assert_eq!(found, BTreeMap::from(expected));
+}
+
+/// With its effects turned off, a scene has no pass for them.
+#[test]
+fn effects_that_are_off_have_no_pass() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes");
+    let studio = Studio::below(&root, |_| {});
+    let off = Settings {
+        shadows: Shadows::Off,
+        ao: Effect::Off,
+        fog: Effect::Off,
+        edl: Edl::Off,
+        ..Settings::default()
+    };
+    for (name, all) in SHIPPED {
+        studio.engine.load(name, &root.join(format!("{name}.json"))).unwrap();
+        let left = passes(&studio, name, off);
+        for pass in ["shadow_map", "ambient_occlusion", "fog_background"] {
+            assert!(!left.split(' ').any(|one| one == pass), "{name}: {left}");
+        }
+        // Nothing else changes but the pass that waits for effects.
+        let rest = all.split(' ').filter(|pass| {
+            !["shadow_map", "ambient_occlusion", "fog_background", "write_output"].contains(pass)
+        });
+        let left = left.split(' ').filter(|pass| *pass != "write_output");
+        assert!(left.eq(rest), "{name}");
+    }
+}
