@@ -110,6 +110,14 @@ def follow_clip_boxes(params):
         params["clip_node"] = "wall"
 
 
+def follow_part(params):
+    """A part that lies within its image, in a frame whose pose is no matrix and whose settings are not chosen."""
+    if params.keys() & {"view", "proj", "budget_ms", "min_psnr_db"}:
+        params.pop("part_of", None)
+    if "part_of" in params:
+        params["part_of"] = "20000,20000,100,50"
+
+
 def default_of(name):
     """A setting's default; `None` where the scene has one, or where there is none."""
     return next((setting.get("default") for setting in SETTINGS if setting["name"] == name), None)
@@ -164,6 +172,7 @@ def follow_settings(params):
         params["color_by"] = "height"
     follow_needs(params)
     follow_clip_boxes(params)
+    follow_part(params)
     follow_color_bounds(params)
     if "format" in params and params["format"].replace("jpg", "jpeg") not in FORMATS[params.get("output", "color")]:
         params["format"] = "png"
@@ -247,7 +256,9 @@ def follow_comparison(body):
         if isinstance(settings, dict):
             for name in [name for name, value in settings.items() if value is None]:
                 del settings[name]
+            # They share the pose.
             settings.pop("projection", None)
+            settings.pop("part_of", None)
             follow_settings(settings)
     if "b" in body:
         body.pop("against", None)

@@ -315,7 +315,7 @@ fn splats_and_their_receipt() {
     assert_eq!(
         points.receipt()["settings"],
         json!({"antialias": "off", "edl": "off", "lod": "full", "projection": "perspective", "color_by": "colors", "reconstruct": "points",
-            "point_size": 0.0, "point_size_px": 1.0})
+            "exposure": 0.0, "tone_map": "none", "point_size": 0.0, "point_size_px": 1.0})
     );
     assert_eq!(points.receipt()["splats"]["scattered"], Value::Null);
 
@@ -326,7 +326,7 @@ fn splats_and_their_receipt() {
     let covered = image.pixels().filter(|pixel| **pixel != background).count();
     assert!(covered > 2000, "only {covered} pixels show the wall, which splats close");
     let receipt = splats.receipt();
-    let defaults = json!({"antialias": "off", "edl": "off", "lod": "full", "projection": "perspective", "color_by": "colors", "reconstruct": "splats", "filter": "perspective", "prefilter": true,
+    let defaults = json!({"antialias": "off", "edl": "off", "exposure": 0.0, "tone_map": "none", "lod": "full", "projection": "perspective", "color_by": "colors", "reconstruct": "splats", "filter": "perspective", "prefilter": true,
         "blend": "weighted", "shading": "deferred", "lowpass_px": 0.5, "cutoff": 2.0, "width": 1.0, "depth_offset": 1.0});
     assert_eq!(receipt["settings"], defaults);
     let drawn = |key: &str| receipt["splats"][key].as_u64().unwrap();
@@ -355,7 +355,7 @@ fn splats_and_their_receipt() {
 
     let fuzzy = FRAME.to_owned() + "&reconstruct=fuzzy";
     let receipt = client.get(&fuzzy).receipt();
-    let expected = json!({"antialias": "off", "edl": "off", "lod": "full", "projection": "perspective", "color_by": "colors", "reconstruct": "fuzzy", "filter": "perspective", "prefilter": true,
+    let expected = json!({"antialias": "off", "edl": "off", "exposure": 0.0, "tone_map": "none", "lod": "full", "projection": "perspective", "color_by": "colors", "reconstruct": "fuzzy", "filter": "perspective", "prefilter": true,
         "lowpass_px": 0.5, "cutoff": 2.0, "width": 1.0, "depth_offset": 1.0});
     assert_eq!(receipt["settings"], expected);
     assert_eq!(receipt["splats"]["scattered"], 64 * 64);
