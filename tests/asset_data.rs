@@ -248,7 +248,7 @@ fn textured_files_have_their_textures() {
         ("textured/fuze/fuze.obj", 1000, 1, [1024, 1024]),
         ("textured/BoxTextured.glb", 12, 1, [256, 256]),
         ("trees/tree-lime-2-0.glb", 919, 1, [0, 0]),
-        ("textured/statue.glb", 16259, 1, [0, 0]),
+        ("textured/statue.glb", 16259, 2, [0, 0]),
         ("textured/CesiumMilkTruck.glb", 2856, 1, [0, 0]),
         ("textured/spot/spot_triangulated.obj", 5856, 0, [0, 0]),
         ("textured/spot/spot_quadrangulated.obj", 5856, 0, [0, 0]),

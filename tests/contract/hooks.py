@@ -373,6 +373,8 @@ def map_case(context, case):
         elif label == "POST /v1/scenes/{id}/frames":
             shrink(case.body)
             for pose in [case.body, *case.body["poses"]]:
+                # A part does not go with every pose, nor with a goal that another part of the body gives.
+                pose.pop("part_of", None)
                 follow_clip_boxes(pose)
                 follow_color_bounds(pose)
             for pose in case.body["poses"]:
