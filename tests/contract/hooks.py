@@ -321,7 +321,7 @@ def map_case(context, case):
         parts = [part for part in (case.query, case.body) if isinstance(part, dict)]
         poses = [pose for part in parts for pose in part.get("poses") or [] if isinstance(pose, dict)]
         names = {name for part in parts + poses for name in part}
-        if "/mjpeg" in label or "/compare" in label or names & {"path", "camera", "cameras"}:
+        if "/mjpeg" in label or "/compare" in label or names & {"path", "camera", "cameras", "clip_node"}:
             if "id" in (case.path_parameters or {}) and label.split()[1].startswith("/v1/scenes"):
                 case.path_parameters["id"] = "grid"
     elif case.path_parameters and is_positive(case, ParameterLocation.PATH):
