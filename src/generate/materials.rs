@@ -11,6 +11,7 @@ use glam::{DVec3, Vec2};
 use super::numeric::{sin, sin_cos, smoothstep};
 use super::plain::{Faces, sphere, srgb};
 use super::scenes::{cameras, path, poses_about, subject, vector};
+use super::textured::lattice;
 use super::{Generated, GeneratedMap, GeneratedMesh, GeneratedScene};
 use crate::assets::{Encoding, Filter, Material, Mesh, Physical, Texture, Wrap};
 use crate::math::Bounds;
@@ -67,14 +68,7 @@ fn lantern() -> GeneratedMesh {
             uvs.push(Vec2::new(u as f32, v as f32));
         }
     }
-    let row = sectors + 1;
-    for ring in 0..RINGS {
-        for sector in 0..sectors {
-            let a = ring * row + sector;
-            let [b, c, d] = [a + 1, a + row, a + row + 1];
-            mesh.triangles.extend([[a, c, d], [a, d, b]]);
-        }
-    }
+    mesh.triangles.extend(lattice(RINGS, sectors));
     (mesh.normals, mesh.uvs) = (Some(normals), Some(uvs));
     let normal_map = map("normals", Encoding::Linear, |u, v| {
         // Dents of the hammer, each row shifted by half a mark.

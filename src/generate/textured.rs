@@ -74,14 +74,7 @@ pub fn amphora(height: f64, triangles: u64, seed: u64) -> GeneratedMesh {
             uvs.push(Vec2::new(share as f32, t as f32));
         }
     }
-    let row = sectors + 1;
-    for ring in 0..rings {
-        for sector in 0..sectors {
-            let a = ring * row + sector;
-            let [b, c, d] = [a + 1, a + row, a + row + 1];
-            mesh.triangles.extend([[a, c, d], [a, d, b]]);
-        }
-    }
+    mesh.triangles.extend(lattice(rings, sectors));
     mesh.normals = Some(normals);
     mesh.uvs = Some(uvs);
     for side in [1.0, -1.0] {
@@ -100,6 +93,18 @@ pub fn amphora(height: f64, triangles: u64, seed: u64) -> GeneratedMesh {
         texture: Some(painted(seed)),
         ..GeneratedMesh::default()
     }
+}
+
+/// The triangles of a sheet of vertices, of `rows` × `columns` quads: row by row, one vertex more than quads along both.
+pub(super) fn lattice(rows: u32, columns: u32) -> impl Iterator<Item = [u32; 3]> {
+    let row = columns + 1;
+    (0..rows).flat_map(move |i| {
+        (0..columns).flat_map(move |j| {
+            let a = i * row + j;
+            let [b, c, d] = [a + 1, a + row, a + row + 1];
+            [[a, c, d], [a, d, b]]
+        })
+    })
 }
 
 /// A handle from the neck to the shoulder, in plain glaze.
@@ -131,14 +136,8 @@ fn handle(mesh: &mut Mesh, height: f64, side: f64) {
             mesh.uvs.get_or_insert_default().push(uv);
         }
     }
-    let row = AROUND + 1;
-    for i in 0..ALONG {
-        for j in 0..AROUND {
-            let a = first + i * row + j;
-            let [b, c, d] = [a + 1, a + row, a + row + 1];
-            mesh.triangles.extend([[a, d, c], [a, b, d]]);
-        }
-    }
+    // The other way round than the amphora.
+    mesh.triangles.extend(lattice(ALONG, AROUND).map(|[a, b, c]| [a, c, b].map(|v| first + v)));
 }
 
 /// The amphora's texture: friezes in black on clay, 512².

@@ -4,9 +4,6 @@ use std::fmt;
 use std::str::FromStr;
 
 use glam::{DAffine3, DVec3};
-use serde::{Deserialize, Serialize};
-use utoipa::openapi::RefOr;
-use utoipa::openapi::schema::{ObjectBuilder, Schema, Type};
 
 /// Largest number of boxes.
 pub const MOST_BOXES: usize = 8;
@@ -178,26 +175,7 @@ impl std::hash::Hash for ClipBoxes {
     }
 }
 
-impl Serialize for ClipBoxes {
-    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_str(self)
-    }
-}
-
-impl<'de> Deserialize<'de> for ClipBoxes {
-    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let text = String::deserialize(deserializer)?;
-        text.parse().map_err(serde::de::Error::custom)
-    }
-}
-
-impl utoipa::PartialSchema for ClipBoxes {
-    fn schema() -> RefOr<Schema> {
-        ObjectBuilder::new().schema_type(Type::String).pattern(Some(ClipBoxes::pattern())).into()
-    }
-}
-
-impl utoipa::ToSchema for ClipBoxes {}
+crate::json::as_text!(ClipBoxes, ClipBoxes::pattern());
 
 impl ClipRegion {
     /// Whether a place in the scene is shown.

@@ -3,10 +3,6 @@
 use std::fmt;
 use std::str::FromStr;
 
-use serde::{Deserialize, Serialize};
-use utoipa::openapi::RefOr;
-use utoipa::openapi::schema::{ObjectBuilder, Schema, Type};
-
 use super::{SettingKind, Settings};
 
 /// Longest side of an image whose parts are drawn: single precision tells a 64th of a pixel there.
@@ -98,26 +94,7 @@ impl fmt::Display for ImagePart {
     }
 }
 
-impl Serialize for ImagePart {
-    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_str(self)
-    }
-}
-
-impl<'de> Deserialize<'de> for ImagePart {
-    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let text = String::deserialize(deserializer)?;
-        text.parse().map_err(serde::de::Error::custom)
-    }
-}
-
-impl utoipa::PartialSchema for ImagePart {
-    fn schema() -> RefOr<Schema> {
-        ObjectBuilder::new().schema_type(Type::String).pattern(Some(ImagePart::PATTERN)).into()
-    }
-}
-
-impl utoipa::ToSchema for ImagePart {}
+crate::json::as_text!(ImagePart, ImagePart::PATTERN);
 
 #[cfg(test)]
 mod tests {
