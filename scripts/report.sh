@@ -33,7 +33,7 @@ if is_set "${REPORT_QUICK:-}"; then
     export BENCH_QUICK=1
     planner_scenes=scenes/relief.json planner_poses=1 audit_poses=1
 else
-    planner_scenes=scenes/town.json,scenes/relief.json,scenes/textured.json planner_poses=24 audit_poses=10
+    planner_scenes=scenes/town.json,scenes/relief.json,scenes/textured.json planner_poses=16 audit_poses=10
 fi
 folder=$REPORT_FOLDER
 
@@ -96,7 +96,8 @@ measure() { # PART
 limit_s() {
     case $1 in
     equal) echo 600 ;;
-    planner | audit) echo 480 ;;
+    planner) echo 600 ;;
+    audit) echo 480 ;;
     town | plaza) echo 300 ;;
     *) echo 240 ;;
     esac

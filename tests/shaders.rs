@@ -73,6 +73,15 @@ fn compositions(root: &str) -> Vec<(String, Choices, Composed)> {
         .into_iter()
         .flat_map(|c| casts(c).into_iter().map(move |shadows| Choices { shadows, ..c }))
         .collect();
+    // So may surroundings.
+    let surrounded =
+        |c: Choices| if asks("ENVIRONMENT") || c.lit { vec![false, true] } else { vec![false] };
+    all = all
+        .into_iter()
+        .flat_map(|c| {
+            surrounded(c).into_iter().map(move |environment| Choices { environment, ..c })
+        })
+        .collect();
     all = widen(all, "OPENNESS", |choices, side| choices.occlusion = side);
     all = widen(all, "FINISH", |choices, side| choices.kept = side);
     // Surfaces that are kept may have maps.
@@ -155,14 +164,14 @@ fn every_composition_is_valid() {
     //   without votes), or from a list. Painted splats as a single pass, with a thread per splat, and counted with and without trees.
     // - Passes over pixels: with and without votes; samples with and without trees and scalar fields; outputs written at once or later,
     //   in the latter case with and without maps; triangles also layer by layer.
-    // - Wherever light is computed, with and without shadows. The last pass over surfaces also with and without ambient occlusion, which is a pass over pixels.
+    // - Wherever light is computed, with and without shadows, and with and without surroundings. The last pass over surfaces also with and without ambient occlusion, which is a pass over pixels.
     // - Level 0 of pull-push: with and without clip lines, trees and scalar fields.
     // - Lists: of everything, or of trees. Others: no choices.
-    let (depths, sums, single) = (12, 96, 24);
-    let over_pixels = 2 * (6 * 2 * 3 + 3 * 2 * 3 + 2 * 3 + 2 * 2 * 2) + 2 + 2;
+    let (depths, sums, single) = (12, 160, 40);
+    let over_pixels = 2 * 2 * (6 * 2 * 3 + 3 * 2 * 3 + 2 * 3 + 2 * 2 * 2) + 2 + 2;
     let level_0 = 2 * 2 * 2;
     let lists = 3 * 2;
-    let others = 22;
+    let others = 23;
     assert_eq!(
         checked,
         2 * 6

@@ -38,10 +38,30 @@ fn cylinder(tangent: vec3<f32>, l: vec3<f32>, to_eye: vec3<f32>, shininess: f32)
     return vec2<f32>(mean, peak * 0.5 * sqrt(3.1415927 / (2.0 * shininess + 2.0)) * cos(0.5 * angle));
 }
 
+// Light of the surroundings that falls on a line: on both sides of a ribbon, or on the visible half of a cylinder. Normals of the latter at a sine of s
+// from the eye count alike for each s, so that Gauss's quadrature with three places integrates over them.
+fn environment_of_line(direction: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
+    if RIBBONS {
+        return 0.5 * (environment_at(direction, SCATTERED) + environment_at(-direction, SCATTERED));
+    }
+    let facing = unit_or_zero(to_eye - direction * dot(to_eye, direction));
+    if all(facing == vec3<f32>(0.0)) {
+        return environment_at(to_eye, SCATTERED);
+    }
+    let aside = cross(direction, facing);
+    let turned = facing * 0.6324555;
+    let left = environment_at(turned + aside * 0.7745967, SCATTERED);
+    let right = environment_at(turned - aside * 0.7745967, SCATTERED);
+    return (4.0 / 9.0) * environment_at(facing, SCATTERED) + (5.0 / 18.0) * (left + right);
+}
+
 // The light that a line reflects. `direction`: the axis of a tube, or the normal of a ribbon.
 fn line_light(light: Light, albedo: vec3<f32>, material: Material, direction: vec3<f32>, place: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
+    if ENVIRONMENT && light.kind == 4u {
+        return albedo * environment_of_line(direction, to_eye);
+    }
     let l = arriving(light, place, to_eye);
-    if light.kind == 0u {
+    if is_ambient(light) {
         return albedo * light.color.rgb * l.w;
     }
     var factors = cylinder(direction, l.xyz, to_eye, material.shininess);

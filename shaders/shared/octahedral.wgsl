@@ -21,16 +21,19 @@ fn octahedral_decode(packed: u32) -> vec3<f32> {
     return n / length(n);
 }
 
-fn octahedral_encode(v: vec3<f32>) -> u32 {
-    let sum = abs(v.x) + abs(v.y) + abs(v.z);
-    if !(sum > 0.0) {
-        return NO_NORMAL;
-    }
-    let n = v / sum;
-    var f = n.xy;
+// The place of a direction in the map, -1 to 1 along both sides.
+fn octahedral_place(v: vec3<f32>) -> vec2<f32> {
+    let n = v / max(abs(v.x) + abs(v.y) + abs(v.z), 1e-30);
     if n.z < 0.0 {
         let s = vec2<f32>(select(-1.0, 1.0, n.x >= 0.0), select(-1.0, 1.0, n.y >= 0.0));
-        f = (vec2<f32>(1.0) - abs(n.yx)) * s;
+        return (vec2<f32>(1.0) - abs(n.yx)) * s;
     }
-    return pack2x16snorm(f);
+    return n.xy;
+}
+
+fn octahedral_encode(v: vec3<f32>) -> u32 {
+    if !(abs(v.x) + abs(v.y) + abs(v.z) > 0.0) {
+        return NO_NORMAL;
+    }
+    return pack2x16snorm(octahedral_place(v));
 }

@@ -1,9 +1,10 @@
 // Reflection over all lights of a scene: Phong's model, or that of a physical material.
 //!include SHADOWS
+//!include ENVIRONMENT
 //!include shared/physical
 //!include shared/tone
 struct Light {
-    // 0 ambient, 1 headlight, 2 sun, 3 point.
+    // 0 ambient, 1 headlight, 2 sun, 3 point, 4 surroundings.
     kind: u32,
     // Distance at which a point light has lost half.
     range: f32,
@@ -71,6 +72,11 @@ fn arriving(light: Light, place: vec3<f32>, to_eye: vec3<f32>) -> vec4<f32> {
     return vec4<f32>(d / max(distance, 1e-30), 1.0 / (1.0 + ratio * ratio));
 }
 
+// Whether light comes from all directions alike. That of surroundings does where their image is left out.
+fn is_ambient(light: Light) -> bool {
+    return light.kind == 0u || light.kind == 4u;
+}
+
 // The share of a light that is not kept away as ambient light.
 fn arriving_ambient(light: Light) -> f32 {
     var share = 1.0;
@@ -80,7 +86,7 @@ fn arriving_ambient(light: Light) -> f32 {
     if MAPS {
         share *= mapped_share;
     }
-    return select(1.0, share, light.kind == 0u);
+    return select(1.0, share, is_ambient(light));
 }
 
 // Light that a surface gives off.
@@ -91,17 +97,33 @@ fn emitted(material: Material) -> vec3<f32> {
     return vec3<f32>(0.0);
 }
 
+// Light of the surroundings that a surface reflects.
+fn reflected_environment(albedo: vec3<f32>, material: Material, n: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
+    let falling = environment_at(n, SCATTERED);
+    if !PHYSICAL || (material.flags & MATERIAL_PHYSICAL) == 0u {
+        return albedo * falling;
+    }
+    let shares = ambient_shares(albedo, material, n, to_eye);
+    let roughness = clamp(material.roughness, 0.0, 1.0);
+    let seen = mirrored_environment(mirrored_direction(n, to_eye, roughness), roughness);
+    return shares.mirrored * seen + shares.scattered * falling;
+}
+
 fn phong(light: Light, albedo: vec3<f32>, material: Material, n: vec3<f32>, place: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
+    if ENVIRONMENT && light.kind == 4u {
+        return reflected_environment(albedo, material, n, to_eye) * arriving_ambient(light);
+    }
     let l = arriving(light, place, to_eye);
-    let cosine = select(max(dot(n, l.xyz), 0.0), 1.0, light.kind == 0u);
+    let cosine = select(max(dot(n, l.xyz), 0.0), 1.0, is_ambient(light));
     var reflected = albedo * cosine;
     if PHYSICAL && (material.flags & MATERIAL_PHYSICAL) != 0u {
-        if light.kind == 0u {
-            reflected = reflected_ambient(albedo, material, n, to_eye);
+        if is_ambient(light) {
+            let shares = ambient_shares(albedo, material, n, to_eye);
+            reflected = shares.mirrored + shares.scattered;
         } else {
             reflected = reflected_light(albedo, material, n, l.xyz, to_eye);
         }
-    } else if SPECULAR && light.kind != 0u && cosine > 0.0 {
+    } else if SPECULAR && !is_ambient(light) && cosine > 0.0 {
         let r = 2.0 * cosine * n - l.xyz;
         reflected += material.specular * pow(max(dot(r, to_eye), 0.0), material.shininess);
     }
@@ -130,13 +152,18 @@ fn all_lights(albedo: vec3<f32>, material: Material, n: vec3<f32>, place: vec3<f
 // Light from a surface that looks everywhere, as the mean over the visible half of a ball: the phase function of a Lambertian sphere
 // (Schönberg 1929) over π. A ball reflects highlights alike in all directions.
 fn phong_ball(light: Light, albedo: vec3<f32>, material: Material, place: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
+    if ENVIRONMENT && light.kind == 4u {
+        let is_physical = PHYSICAL && (material.flags & MATERIAL_PHYSICAL) != 0u;
+        let own = select(albedo, reflected_by_ball(albedo, material), is_physical);
+        return own * environment_at(to_eye, BALL_SEEN) * arriving_ambient(light);
+    }
     let l = arriving(light, place, to_eye);
     let c = clamp(dot(l.xyz, to_eye), -1.0, 1.0);
     let mean = 0.21220659 * (sqrt(1.0 - c * c) + (3.1415927 - acos(c)) * c);
-    var reflected = albedo * select(mean, 1.0, light.kind == 0u);
+    var reflected = albedo * select(mean, 1.0, is_ambient(light));
     if PHYSICAL && (material.flags & MATERIAL_PHYSICAL) != 0u {
-        reflected = reflected_by_ball(albedo, material) * select(mean, 1.0, light.kind == 0u);
-    } else if SPECULAR && light.kind != 0u {
+        reflected = reflected_by_ball(albedo, material) * select(mean, 1.0, is_ambient(light));
+    } else if SPECULAR && !is_ambient(light) {
         reflected += material.specular * (0.5 / (material.shininess + 1.0));
     }
     return reflected * light.color.rgb * (l.w * reaching(light, mean, place, l.xyz) * arriving_ambient(light));

@@ -68,9 +68,14 @@ fn reflectances(roughness: f32, nv: f32) -> vec2<f32> {
     return vec2<f32>(bounded, clamp(grazing, 0.0, bounded));
 }
 
-// Under light that is alike from everywhere: the reflectance over all directions, and what is scattered between facets more than once
-// (Fdez-Agüera 2019, equations 15 to 20).
-fn reflected_ambient(albedo: vec3<f32>, material: Material, n: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
+// What a surface reflects of light from all directions: the part that facets mirror once, and the part that is scattered below the surface, or between
+// facets more than once (Fdez-Agüera 2019, equations 15 to 20).
+struct AmbientShares {
+    mirrored: vec3<f32>,
+    scattered: vec3<f32>,
+}
+
+fn ambient_shares(albedo: vec3<f32>, material: Material, n: vec3<f32>, to_eye: vec3<f32>) -> AmbientShares {
     let f0 = facing_reflectance(albedo, material);
     let share = reflectances(clamp(material.roughness, 0.0, 1.0), clamp(dot(n, to_eye), 0.0, 1.0));
     let f90 = vec3<f32>(grazing_reflectance(material));
@@ -79,7 +84,14 @@ fn reflected_ambient(albedo: vec3<f32>, material: Material, n: vec3<f32>, to_eye
     let mean = f0 + (f90 - f0) / 21.0;
     let again = missing * once * mean / (vec3<f32>(1.0) - mean * missing);
     let diffuse = albedo * (1.0 - material.metallic);
-    return once + again + diffuse * (vec3<f32>(1.0) - once - again);
+    return AmbientShares(once, again + diffuse * (vec3<f32>(1.0) - once - again));
+}
+
+// The direction from which most of the light comes that a surface mirrors towards the eye: the rougher it is, the nearer to the normal (Lagarde & de
+// Rousiers 2014, listing 21).
+fn mirrored_direction(n: vec3<f32>, to_eye: vec3<f32>, roughness: f32) -> vec3<f32> {
+    let smoothness = 1.0 - roughness * roughness;
+    return mix(n, 2.0 * dot(n, to_eye) * n - to_eye, smoothness * (sqrt(smoothness) + 1.0 - smoothness));
 }
 
 // By a surface that looks everywhere: without highlights, a metal's colour is that of what it reflects.

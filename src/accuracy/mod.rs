@@ -25,6 +25,7 @@ pub mod report;
 pub mod results;
 pub mod service;
 pub mod stability;
+pub mod steady;
 pub mod survey;
 pub mod sweep;
 pub mod truth;

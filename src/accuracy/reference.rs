@@ -9,12 +9,12 @@
 
 use std::path::Path;
 
-use crate::assets::{Asset, AssetError, ReadOptions};
+use crate::assets::{Asset, AssetError, EnvironmentImage, ReadOptions};
 use crate::bake::assemble::{AssembleError, Assembler, Prepared};
 use crate::bake::prepare::{self, Outlook, PlacedGeometry};
 use crate::encode::FrameImage;
 use crate::math::{Bounds, Camera, View};
-use crate::oracle::{self, OracleFrame, OracleItem, OracleScene};
+use crate::oracle::{self, OracleFrame, OracleItem, OracleScene, Surroundings};
 use crate::plan::Output;
 use crate::scene::{Scene, SceneError, SceneLimits, Splats};
 
@@ -46,6 +46,8 @@ pub struct Reference {
     /// Prepared assets, in the order of the description.
     assets: Vec<Asset>,
     placed: Vec<PlacedGeometry>,
+    /// The image of the scene's surroundings.
+    image: Option<EnvironmentImage>,
 }
 
 impl Reference {
@@ -91,7 +93,11 @@ impl Reference {
             let found = placed.len() as u64;
             return Err(ReferenceError::OverLimit { what: "instances", found, limit });
         }
-        Ok(Reference { description, assets, placed })
+        let image = match &description.environment {
+            Some(environment) => Some(EnvironmentImage::read(&environment.path, &options)?),
+            None => None,
+        };
+        Ok(Reference { description, assets, placed, image })
     }
 
     /// The scene description, as loaded and adapted.
@@ -133,6 +139,11 @@ impl Reference {
             recolor: None,
             clip: None,
             edl: None,
+            surroundings: self
+                .image
+                .as_ref()
+                .zip(self.description.environment.as_ref())
+                .map(|(image, environment)| Surroundings { image, environment }),
             fog: self.description.fog,
             occlusion: self.description.occlusion,
             tone: None,

@@ -11,6 +11,7 @@ mod base64;
 mod blocks;
 mod dispatch;
 pub mod e57;
+mod environment;
 mod fault;
 pub mod fields;
 pub mod gltf;
@@ -46,6 +47,7 @@ use glam::{DAffine3, DVec3, Vec2, Vec3};
 
 pub use self::blocks::{PointBlocks, Survey};
 pub use self::dispatch::{FORMATS, is_supported_extension, read, stands_alone};
+pub use self::environment::EnvironmentImage;
 pub use self::fields::{Field, Fields};
 pub(crate) use self::strands::direction_colors;
 use crate::math::{Bounds, Camera, Sensor};

@@ -17,6 +17,7 @@
 //! - [`tree`] builds point trees, from which a frame selects its level of detail;
 //! - [`external`] builds the point trees of files that do not fit into memory;
 //! - [`estimate`] estimates normals and kernels of large clouds piece by piece while packing them;
+//! - [`environment`] blurs images of surroundings for surfaces of every roughness;
 //! - [`spacing`] measures the distance between packed samples;
 //! - [`outline`] finds the few points of a geometry that decide which cameras show all of it;
 //! - [`pack`] encodes geometry in the records that the GPU reads;
@@ -25,6 +26,7 @@
 pub mod assemble;
 pub mod cache;
 pub mod csg;
+pub mod environment;
 pub mod estimate;
 pub mod external;
 pub mod hybrid;

@@ -2,7 +2,7 @@
 
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Instant, SystemTime};
 
 use anyhow::{Context, Result, bail};
@@ -19,7 +19,8 @@ use crate::accuracy::journal::Journal;
 use crate::accuracy::planning::{self, Planning};
 use crate::accuracy::reference::Reference;
 use crate::accuracy::results::Results;
-use crate::accuracy::stability::stability;
+use crate::accuracy::stability::{Stability, stability};
+use crate::accuracy::steady::{Steadiness, Sweep};
 use crate::accuracy::survey::{Event, Purpose, Survey, SurveyError};
 use crate::accuracy::{date, report, sweep};
 use crate::assets::ReadOptions;
@@ -78,6 +79,13 @@ pub struct AccuracyArgs {
     /// Number of splats in each class of --stability
     #[arg(long, value_name = "N", default_value_t = 3000, value_parser = clap::value_parser!(u32).range(1..), requires = "stability")]
     count: u32,
+    /// Scenes of which --stability also draws random views with every setting, each beside a view a thousandth of a pixel aside: depths must be numbers,
+    /// and colours steady
+    #[arg(long, value_name = "SCENE", num_args = 1.., requires = "stability", conflicts_with = "root")]
+    scenes: Vec<PathBuf>,
+    /// Number of such views of each scene
+    #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u64).range(1..), requires = "scenes")]
+    views: u64,
     /// Print JSON on standard output
     #[arg(long)]
     json: bool,
@@ -309,6 +317,7 @@ impl Telling {
 /// Compares the shaders of splats with f64 on hard cases.
 fn check_stability(args: &AccuracyArgs) -> Result<()> {
     let report = stability(args.seed, args.count)?;
+    let report = Stability { scenes: steadiness(args)?, ..report };
     let json = serde_json::to_string_pretty(&report)? + "\n";
     if args.json {
         out::print(&json)?;
@@ -328,7 +337,36 @@ fn check_stability(args: &AccuracyArgs) -> Result<()> {
     if !broken.is_empty() {
         bail!("outlines exceed their error bounds: {}", broken.join("; "));
     }
+    let unsteady = report.scenes.iter().filter(|found| !found.holds);
+    let unsteady: Vec<&str> = unsteady.map(|found| found.scene.as_str()).collect();
+    if !unsteady.is_empty() {
+        bail!("frames of these scenes are not steady: {}", unsteady.join("; "));
+    }
     Ok(())
+}
+
+/// Draws random views of the scenes that are to be steady.
+fn steadiness(args: &AccuracyArgs) -> Result<Vec<Steadiness>> {
+    if args.scenes.is_empty() {
+        return Ok(Vec::new());
+    }
+    let rows = sweep::rows(Extent::All);
+    let stop = stop_when_told()?;
+    let mut found = Vec::with_capacity(args.scenes.len());
+    for scene in &args.scenes {
+        let (engine, info) = load(args, scene)?;
+        let mut telling = Telling::new();
+        let what = scene.file_stem().unwrap_or_default().to_string_lossy();
+        let (views, seed) = (args.views, args.seed);
+        let sweep = Sweep { engine: &engine, rows: &rows, views, seed, stop: &stop };
+        let told = |done| telling.hear(&Event { done, total: views, what: &what });
+        found.push(sweep.of(&info, told).with_context(|| format!("drawing {}", scene.display()))?);
+        telling.bar.finish_and_clear();
+        if stop.load(Ordering::Relaxed) {
+            bail!("stopped by a signal");
+        }
+    }
+    Ok(found)
 }
 
 #[cfg(test)]

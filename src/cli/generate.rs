@@ -106,6 +106,7 @@ fn describe(generated: &Generated) -> String {
             plant.branches.strands.len().saturating_sub(1),
             plant.trunk.mesh.triangles.len()
         ),
+        Generated::Surroundings(image) => format!("{} × {} pixels", image.width, image.height),
         Generated::Scenes(scenes) => format!("{} scenes", scenes.len()),
         Generated::Scene(scene) => match scene.assets.len() {
             1 => "a scene with 1 asset".to_owned(),

@@ -114,6 +114,7 @@ impl Loaded {
             description: self.description.clone(),
             assets,
             placements: self.placements.clone(),
+            environment: self.model.environment.clone(),
             warnings: self.info.warnings.clone(),
             digest: self.digest,
             origin: self.origin,

@@ -72,9 +72,10 @@ fn nothing_visible(drawn: &Drawn) -> Option<String> {
     let covered = u64::from(pixels_of_samples)
         + u64::from(pixels_of_triangles)
         + u64::from(pixels_of_segments);
-    // Behind dense fog, an image of one colour may show the scene; behind layers of fog, the background has many colours.
-    let is_even =
-        drawn.job.drawing().plan.runs(Pass::FogBackground) || drawn.image.is_blank(background);
+    // Behind dense fog, an image of one colour may show the scene; behind layers of fog, and of surroundings, the background has many colours.
+    let plan = &drawn.job.drawing().plan;
+    let has_colors = plan.runs(Pass::FogBackground) || plan.runs(Pass::EnvironmentBackground);
+    let is_even = has_colors || drawn.image.is_blank(background);
     let is_blank = covered == 0 && is_even;
     let is_clipped = drawn.job.drawing().clip.is_some();
     is_blank.then(|| framing::why_nothing(&resolved.extent.bounds, &resolved.view, is_clipped))

@@ -62,6 +62,8 @@ pub struct SceneInfo {
     pub lights: usize,
     /// Suns that cast shadows.
     pub casting_lights: usize,
+    /// Whether an image of surroundings lights the scene.
+    pub environment: bool,
     /// Whether the scene has fog.
     pub fog: bool,
     /// Whether the scene has ambient occlusion.

@@ -14,9 +14,10 @@ use super::uid::next_uid;
 use super::watch::{Abandoned, Watch};
 use super::{EngineConfig, EngineError, Source};
 use crate::assets::warnings::condensed;
-use crate::assets::{AssetError, Geometry, PointCloud, ReadOptions};
+use crate::assets::{AssetError, EnvironmentImage, Geometry, PointCloud, ReadOptions};
 use crate::bake::CUTOFF;
 use crate::bake::assemble::{Assembler, Prepared};
+use crate::bake::environment::EnvironmentMap;
 use crate::bake::estimate::{EstimateError, lacks_normals, pack_estimated};
 use crate::bake::pack::{
     PackedAsset, PackedGeometry, pack_lines, pack_mesh, pack_samples, pack_texture, packing_bytes,
@@ -26,7 +27,7 @@ use crate::math::Bounds;
 use crate::memory::{Admission, Reservation};
 use crate::residency::model::{AssetModel, Deferred};
 use crate::residency::once::MadeOnce;
-use crate::scene::{AssetRef, Scene};
+use crate::scene::{AssetRef, Environment, Scene};
 
 /// Reads a scene file or a bare asset and packs all that it draws.
 pub fn load(
@@ -114,6 +115,10 @@ pub fn load(
         let Scene { up, lights, background, .. } = &description;
         hasher.update(format!("{up:?} {lights:?} {background:?}"));
     }
+    let environment = match &description.environment {
+        Some(environment) => Some(Arc::new(surroundings(environment, &options, &mut hasher)?)),
+        None => None,
+    };
     let warnings = scene_warnings(warnings, &assets, &description);
     let digest = hasher.finalize().into();
     let id = id.to_owned();
@@ -125,6 +130,7 @@ pub fn load(
         description,
         assets,
         placements,
+        environment,
         warnings,
         digest,
         origin: digest,
@@ -132,6 +138,22 @@ pub fn load(
         path: path.to_owned(),
     };
     Ok(Loaded { unwritten, ..build(parts, config, None, admission)? })
+}
+
+/// Reads and blurs the surroundings of a scene, and hashes their file.
+fn surroundings(
+    environment: &Environment,
+    options: &ReadOptions,
+    hasher: &mut Sha256,
+) -> Result<EnvironmentMap, EngineError> {
+    let path = &environment.path;
+    let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    hasher.update(digest_file(path, &file, &options.admission).map_err(asset_error)?);
+    let image = EnvironmentImage::read(path, options).map_err(asset_error)?;
+    options.admission.grow(&file, EnvironmentMap::needed_bytes(&image))?;
+    let mut map = EnvironmentMap::of(&image, environment);
+    map.memory = options.admission.keep(map.bytes());
+    Ok(map)
 }
 
 /// Returns the warnings of a scene: those of its assets, each with the asset's name, and what will look other than was asked for.

@@ -18,6 +18,7 @@ use super::{
     SceneInfo,
 };
 use crate::assets::Placement;
+use crate::bake::environment::EnvironmentMap;
 use crate::bake::pack::{Counts, GeometryKind, PackedGeometry};
 use crate::bake::prepare;
 use crate::bake::spacing::Patch;
@@ -32,7 +33,7 @@ use crate::residency::model::{AssetModel, Extent, ModelInstance, SceneModel};
 use crate::residency::once::MadeOnce;
 use crate::residency::spacing;
 use crate::scene::clipping::ClipRegion;
-use crate::scene::{CameraPath, InstancePaths, Node, Scene};
+use crate::scene::{CameraPath, InstancePaths, Light, Node, Scene};
 
 /// How far splats usually reach, in distances between neighbouring samples.
 const SPLAT_REACH: f64 = 2.0;
@@ -79,6 +80,7 @@ pub struct Parts {
     pub description: Scene,
     pub assets: Vec<Arc<AssetModel>>,
     pub placements: Vec<Arc<Vec<Placement>>>,
+    pub environment: Option<Arc<EnvironmentMap>>,
     pub warnings: Vec<String>,
     pub digest: [u8; 32],
     pub origin: [u8; 32],
@@ -160,6 +162,7 @@ pub fn build(
         description,
         assets,
         placements,
+        environment,
         warnings,
         digest,
         origin,
@@ -174,7 +177,8 @@ pub fn build(
         assets,
         instances,
         materials: description.materials.clone(),
-        lights: description.lights.clone(),
+        lights: lights(&description, environment.as_deref()),
+        environment,
         background: description.background,
         fog: description.fog,
         occlusion: description.occlusion,
@@ -211,6 +215,12 @@ pub fn build(
 /// Lines are sparse where their area is below this share of the square over the scene's longest side.
 const SPARSE_LINES: f64 = 0.25;
 
+/// The lights of a scene, that of its surroundings among them.
+fn lights(description: &Scene, environment: Option<&EnvironmentMap>) -> Vec<Light> {
+    let around = environment.map(|map| Light::Surroundings { color: map.mean });
+    around.into_iter().chain(description.lights.iter().copied()).collect()
+}
+
 fn casting_lights(model: &SceneModel) -> usize {
     model.lights.iter().filter(|light| light.casts_shadows()).count()
 }
@@ -224,6 +234,8 @@ fn facts(model: &SceneModel, bounds: &Bounds) -> SceneFacts {
         has_normals: model.assets.iter().any(|asset| asset.has_normals),
         lights: model.lights.len() as u32,
         casting_lights: casting_lights(model) as u32,
+        environment: model.environment.is_some(),
+        shows_environment: model.environment.as_ref().is_some_and(|map| map.shown),
         fog: model.fog.is_some(),
         occlusion: model.occlusion.is_some(),
         layered_fog: model.fog.is_some_and(|fog| fog.layer.is_some()),
@@ -297,8 +309,9 @@ fn describe(
             .enumerate()
             .map(|(index, node)| node_name(node, index))
             .collect(),
-        lights: model.lights.len(),
+        lights: description.lights.len(),
         casting_lights: casting_lights(model),
+        environment: model.environment.is_some(),
         fog: model.fog.is_some(),
         occlusion: model.occlusion.is_some(),
         up: if model.up == DVec3::ZERO { DVec3::Y } else { model.up }.into(),
@@ -335,6 +348,7 @@ impl Loaded {
             description,
             assets: self.model.assets.clone(),
             placements: self.placements.clone(),
+            environment: self.model.environment.clone(),
             warnings: self.info.warnings.clone(),
             digest: hasher.finalize().into(),
             origin: self.origin,

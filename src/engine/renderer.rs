@@ -336,6 +336,7 @@ impl Renderer {
             parts,
             least_line_px: drawing.settings.least_line_px() * scale,
             background: drawing.background(&first.frame.model),
+            environment: drawing.plan.has_environment,
             fog: drawing.fog(&first.frame.model),
             occlusion: first
                 .frame
@@ -374,6 +375,7 @@ impl Renderer {
             levels: false,
             recolor: None,
             edl: None,
+            environment: false,
             fog: None,
             occlusion: None,
             parts: 1,

@@ -125,9 +125,17 @@ impl Drawing {
         // Without samples it has no effect how they are drawn, but the other frames of a film draw them likewise.
         let settings = Settings::from(applied).drawn_like(&settled);
         let (edl, is_averaged) = (settings.eye_dome(), settings.parts() > 1);
-        let (shadows, fog, occlusion) = (settings.shadows, settings.fog, settings.ao);
-        let frame =
-            FrameFacts { output, reconstruction, edl, shadows, fog, occlusion, is_averaged };
+        let frame = FrameFacts {
+            output,
+            reconstruction,
+            edl,
+            shadows: settings.shadows,
+            environment: settings.environment,
+            has_background: settings.background.is_some(),
+            fog: settings.fog,
+            occlusion: settings.ao,
+            is_averaged,
+        };
         Drawing {
             applied,
             settings,

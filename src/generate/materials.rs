@@ -1,7 +1,7 @@
 //! Balls that reflect by the two models, and a lantern with maps.
 //!
 //! Three rows of balls stand on a floor: enamel from smooth to rough, gold likewise, and one each of copper, varnish, ember and
-//! steel. The lantern is a hammered ball of bronze with glowing windows; its maps are those of its normals, its metal, its roughness
+//! steel, in a studio whose walls and lamps they reflect. The lantern is a hammered ball of bronze with glowing windows; its maps are those of its normals, its metal, its roughness
 //! and its light.
 
 use std::f64::consts::TAU;
@@ -126,9 +126,7 @@ const MATERIALS: &str = r##"  "materials": {
   }"##;
 
 const LIGHTS: &str = r##"  "lights": [
-    { "kind": "sun", "direction": [-0.6, -1, -0.5], "color": "#fff4e0", "intensity": 1.1, "shadows": true },
-    { "kind": "point", "position": [-3, 2.5, 3], "range": 3, "color": "#a8c8ff", "intensity": 1.5 },
-    { "kind": "ambient", "color": "#dce6f5", "intensity": 0.4 }
+    { "kind": "sun", "direction": [-0.6, -1, -0.5], "color": "#fff4e0", "intensity": 0.9, "shadows": true, "angle": 6 }
   ],
   "ambient_occlusion": { "radius": 0.3 },
   "background": "#2b3038""##;
@@ -166,7 +164,7 @@ pub fn materials(name: &str) -> GeneratedScene {
         (4.0 * turn, DVec3::new(6.4 * s, 3.2, 6.4 * c), DVec3::new(0.0, -0.2, 0.2))
     });
     let assets = [("ball", sphere(1.0, 6_000)), ("floor", floor()), ("lantern", lantern())];
-    let files: Vec<(String, Generated)> = assets
+    let mut files: Vec<(String, Generated)> = assets
         .into_iter()
         .map(|(asset, mesh)| {
             let extension = if asset == "lantern" { "obj" } else { "ply" };
@@ -178,9 +176,11 @@ pub fn materials(name: &str) -> GeneratedScene {
         .zip(["ball", "floor", "lantern"])
         .map(|((file, _), asset)| format!("    \"{asset}\": {{ \"file\": \"{file}\" }}"))
         .collect();
+    let studio = format!("{name}-studio.hdr");
+    files.push((studio.clone(), Generated::Surroundings(super::studio::studio())));
     let bounds = Bounds { min: DVec3::new(-2.3, -0.5, -2.1), max: DVec3::new(2.3, 0.7, 2.9) };
     let json = format!(
-        "{{\n  \"pointillist\": 1,\n  \"name\": \"{name}\",\n  \"assets\": {{\n{}\n  }},\n{MATERIALS},\n  \"nodes\": [\n{}\n  ],\n{LIGHTS},\n{},\n{},\n{}\n}}\n",
+        "{{\n  \"pointillist\": 1,\n  \"name\": \"{name}\",\n  \"assets\": {{\n{}\n  }},\n{MATERIALS},\n  \"nodes\": [\n{}\n  ],\n  \"environment\": {{ \"file\": \"{studio}\" }},\n{LIGHTS},\n{},\n{},\n{}\n}}\n",
         listed.join(",\n"),
         nodes.join(",\n"),
         subject(&bounds),

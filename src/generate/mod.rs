@@ -15,6 +15,7 @@ pub mod part;
 pub mod plain;
 pub mod relief;
 pub mod scenes;
+mod studio;
 #[cfg(test)]
 mod tests;
 pub mod textured;
@@ -26,7 +27,7 @@ pub use error::GenerateError;
 pub use trees::Form;
 pub use write::write;
 
-use crate::assets::{Material, Mesh, PointCloud, Polylines, Progress, Texture};
+use crate::assets::{EnvironmentImage, Material, Mesh, PointCloud, Polylines, Progress, Texture};
 
 /// Kinds of assets and scenes that can be generated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, clap::ValueEnum)]
@@ -131,6 +132,7 @@ pub enum Generated {
     Lines(Polylines),
     Plant(Box<trees::Plant>),
     Scene(GeneratedScene),
+    Surroundings(EnvironmentImage),
     /// The scenes of a folder, by name.
     Scenes(Vec<(String, GeneratedScene)>),
 }

@@ -144,7 +144,7 @@ fn bounds_of(asset: &Generated) -> Bounds {
                 [&plant.trunk.mesh.positions, &plant.branches.positions, &plant.leaves.positions];
             Bounds::of(parts.into_iter().flatten().copied())
         }
-        Generated::Scene(_) | Generated::Scenes(_) => Bounds::EMPTY,
+        Generated::Scene(_) | Generated::Scenes(_) | Generated::Surroundings(_) => Bounds::EMPTY,
     }
 }
 

@@ -1,4 +1,4 @@
-//! Writers for generated assets: binary PLY, LAS and LAZ, OBJ with MTL and PNG, VTK and TCK, scene files.
+//! Writers for generated assets: binary PLY, LAS and LAZ, OBJ with MTL and PNG, VTK and TCK, Radiance HDR, scene files.
 //!
 //! The files do not depend on the time or the machine: no dates, no identifiers, always little-endian. Points have f64
 //! coordinates, meshes f32.
@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 use super::{GenerateError, Generated, GeneratedMesh, GeneratedScene};
 use crate::assets::fields::{CLASSIFICATION, INTENSITY, Scale};
-use crate::assets::{Field, Material, Mesh, PointCloud, Texture};
+use crate::assets::{EnvironmentImage, Field, Material, Mesh, PointCloud, Texture};
 use crate::math::Bounds;
 
 /// Writes `generated` to `path`, and to further files beside it if the format needs them. Returns all written files.
@@ -48,6 +48,8 @@ pub fn write(generated: &Generated, path: &Path) -> Result<Vec<PathBuf>, Generat
             return Ok(vec![path.to_owned(), leaves, trunk]);
         }
         (Generated::Plant(_), _) => return Err(refuse("a tree of lines", ".vtk and .json")),
+        (Generated::Surroundings(image), "hdr") => radiance(image, path),
+        (Generated::Surroundings(_), _) => return Err(refuse("surroundings", ".hdr")),
         (Generated::Scene(scene), "json") => {
             let mut files = vec![path.to_owned()];
             std::fs::write(path, &scene.json).map_err(GenerateError::io(path))?;
@@ -75,6 +77,14 @@ fn folder_of(
         files.extend(write(&Generated::Scene(scene.clone()), &file)?);
     }
     Ok(files)
+}
+
+/// Radiance HDR.
+fn radiance(image: &EnvironmentImage, path: &Path) -> Result<(), GenerateError> {
+    let pixels: Vec<image::Rgb<f32>> = image.radiance.iter().map(|&rgb| image::Rgb(rgb)).collect();
+    image::codecs::hdr::HdrEncoder::new(create(path)?)
+        .encode(&pixels, image.width as usize, image.height as usize)
+        .map_err(|error| GenerateError::io(path)(std::io::Error::other(error)))
 }
 
 fn create(path: &Path) -> Result<BufWriter<File>, GenerateError> {

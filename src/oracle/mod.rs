@@ -13,7 +13,7 @@
 //!    `paint` lays them over each other instead, where that is asked for.
 //!    `pull_push` fills the gaps between samples of one pixel from coarser levels of the image instead, where that is asked for.
 //! 3. `surface`: colour (`texture` included), normal and material where the ray meets the winner.
-//! 4. `shade`: Phong's model, that of physical materials (`physical`), or the colour as it is. `tone` maps light to what can be shown. `shadow` finds out what share of a sun a place sees, where suns cast shadows, and what share of its surroundings
+//! 4. `shade`: under lights and surroundings (`environment`), Phong's model, that of physical materials (`physical`), or the colour as it is. `tone` maps light to what can be shown. `shadow` finds out what share of a sun a place sees, where suns cast shadows, and what share of its surroundings
 //!    is open to ambient light. (`occlusion` estimates that from an image, as the renderer does.)
 //! 5. `edl`: eye-dome lighting, where it is asked for.
 //! 6. `fog`: what fog leaves of all that, and of the background, where the scene has some.
@@ -26,6 +26,7 @@
 mod blend;
 pub mod color;
 mod edl;
+mod environment;
 mod fog;
 mod footprint;
 mod lines;
@@ -66,6 +67,8 @@ use crate::scene::{
     AmbientOcclusion, Discs, EyeDome, Fog, Light, MaterialSpec, Painting, PullPush, Splats, Tone,
 };
 
+pub use environment::Surroundings;
+
 use blend::Blended;
 use prepare::Prepared;
 use visibility::{Hit, pixel_ray};
@@ -97,6 +100,8 @@ pub struct OracleScene<'a> {
     pub clip: Option<ClipRegion>,
     /// Eye-dome lighting, computed from the depths at the pixels' centres.
     pub edl: Option<EyeDome>,
+    /// Surroundings that light everything, and that show where nothing else is if their [`Environment`](crate::scene::Environment) says so.
+    pub surroundings: Option<Surroundings<'a>>,
     /// Fog that everything is seen through.
     pub fog: Option<Fog>,
     /// Ambient occlusion; none where splats are painted.
@@ -246,6 +251,7 @@ fn colors(prepared: &Prepared<'_>, view: &View, fineness: u32, centres: &[Shown]
         let color = match shown {
             Shown::Nothing => {
                 let ray = pixel_ray(&fine_view, x, y);
+                let background = behind(prepared, &fine_view, ray).unwrap_or(background);
                 let through = |fog: &Fog| fog::background(fog, &fine_view, background, ray);
                 return prepared.scene.fog.as_ref().map_or(background, through);
             }
@@ -271,6 +277,14 @@ fn colors(prepared: &Prepared<'_>, view: &View, fineness: u32, centres: &[Shown]
         });
     }
     if n > 1 { box_filter(&fine, view, n) } else { fine }
+}
+
+/// The surroundings along the ray of a pixel, where they are the background.
+fn behind(prepared: &Prepared<'_>, view: &View, ray: DVec3) -> Option<[f64; 4]> {
+    let surroundings = prepared.scene.surroundings.filter(|own| own.environment.shown)?;
+    let light = surroundings.light(view.view_from_world.transpose() * view.towards(ray));
+    let toned = |tone: &Tone| tone::mapped(light, tone);
+    Some(opaque(prepared.scene.tone.as_ref().map_or(light, toned)))
 }
 
 fn opaque([r, g, b]: [f64; 3]) -> [f64; 4] {

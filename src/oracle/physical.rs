@@ -81,15 +81,24 @@ impl Reflection {
         ((1.0 - fresnel) * diffuse + fresnel * distribution * visibility) * nl
     }
 
-    /// Light of one channel under light of 1 from everywhere: what is scattered once ([`fit`]), and what is scattered again (Fdez-Agüera 2019).
-    pub fn of_surroundings(&self, albedo: f64, channel: usize, facing_eye: f64) -> f64 {
+    /// The direction from which most of the light comes that facets mirror towards the eye: for rough surfaces it is nearer to the normal than that of a mirror
+    /// (Lagarde & de Rousiers 2014, listing 21).
+    pub fn direction_of_most(&self, normal: DVec3, to_eye: DVec3) -> DVec3 {
+        let alpha = self.roughness.clamp(0.0, 1.0).powi(2);
+        let share = (1.0 - alpha) * ((1.0 - alpha).sqrt() + alpha);
+        normal.lerp(2.0 * normal.dot(to_eye) * normal - to_eye, share)
+    }
+
+    /// Light of one channel under light of 1 from everywhere: what facets mirror once ([`fit`]), and what is scattered, between facets (Fdez-Agüera 2019) or
+    /// below the surface.
+    pub fn of_surroundings(&self, albedo: f64, channel: usize, facing_eye: f64) -> [f64; 2] {
         let [facing, grazing, diffuse] = self.parts(albedo, channel);
         let [all, aside] = fit(self.roughness.clamp(0.0, 1.0), facing_eye.clamp(0.0, 1.0));
         let single = facing * (all - aside) + grazing * aside;
         let lost = 1.0 - all;
         let mean = facing + (grazing - facing) / 21.0;
         let multiple = single * mean * lost / (1.0 - mean * lost);
-        single + multiple + diffuse * (1.0 - single - multiple)
+        [single, multiple + diffuse * (1.0 - single - multiple)]
     }
 }
 
@@ -197,7 +206,7 @@ mod tests {
             for facing_eye in [0.0, 0.4, 1.0] {
                 for metallic in [0.0, 1.0] {
                     let own = Reflection { metallic, roughness, ..MIRROR };
-                    let found = own.of_surroundings(1.0, 0, facing_eye);
+                    let found = own.of_surroundings(1.0, 0, facing_eye).iter().sum::<f64>();
                     assert!((found - 1.0).abs() < 1e-9, "{own:?} {facing_eye}: {found}");
                 }
             }

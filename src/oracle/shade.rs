@@ -4,6 +4,8 @@ use glam::DVec3;
 
 use crate::scene::Light;
 
+use super::environment::Surroundings;
+use super::physical::Reflection;
 use super::prepare::Prepared;
 use super::surface::{LitAs, Surface};
 use super::tone;
@@ -15,7 +17,7 @@ use super::tone;
 /// lights, without a normal or when the material is unlit, the albedo. Ribbons have `|n·l|` in place of `n·l`, and thin lines the
 /// mean over a cylinder ([`line()`]). Ambient light, and the albedo of what is not lit, count by [`Surface::open`]. The light of a sun
 /// that casts shadows counts by the share of its disc that the place sees. Solids of metallic-roughness materials reflect as
-/// [`Reflection`](super::physical::Reflection) has it. What a surface gives off is added where lights are,
+/// [`Reflection`] has it; surroundings are mirrored and scattered by their shares of ambient light. What a surface gives off is added where lights are,
 /// and the sum is mapped to what can be shown.
 pub fn shade(surface: &Surface, prepared: &Prepared<'_>, eye: DVec3) -> [f64; 3] {
     let lights = prepared.scene.lights;
@@ -23,7 +25,8 @@ pub fn shade(surface: &Surface, prepared: &Prepared<'_>, eye: DVec3) -> [f64; 3]
     let is_line = matches!(surface.lit_as, LitAs::Line(_));
     let details = &surface.details;
     let unlit = surface.albedo.map(|channel| channel * surface.open);
-    if lights.is_empty() || surface.unlit {
+    let surroundings = &prepared.scene.surroundings;
+    if (lights.is_empty() && surroundings.is_none()) || surface.unlit {
         return unlit;
     }
     if normal == DVec3::ZERO && !is_line {
@@ -32,17 +35,31 @@ pub fn shade(surface: &Surface, prepared: &Prepared<'_>, eye: DVec3) -> [f64; 3]
     let to_eye = (-surface.way).try_normalize().unwrap_or(DVec3::ZERO);
     let reflection = details.reflection.filter(|_| surface.lit_as == LitAs::Solid);
     let mut sum = details.emissive;
+    if let Some(surroundings) = surroundings {
+        let open = surface.open * details.unoccluded;
+        let [falling, mirrored] = around(surroundings, surface, to_eye, reflection);
+        for channel in 0..3 {
+            let albedo = surface.albedo[channel];
+            let [once, scattered] = reflection.map_or([0.0, albedo], |own| {
+                own.of_surroundings(albedo, channel, normal.dot(to_eye))
+            });
+            sum[channel] += open * (once * mirrored[channel] + scattered * falling[channel]);
+        }
+    }
     for light in lights {
         let (to_light, color) = match *light {
             Light::Ambient { color } => {
                 add(&mut sum, color, surface.open * details.unoccluded, |channel| {
                     let albedo = surface.albedo[channel];
                     reflection.map_or(albedo, |own| {
-                        own.of_surroundings(albedo, channel, normal.dot(to_eye))
+                        let shares = own.of_surroundings(albedo, channel, normal.dot(to_eye));
+                        shares[0] + shares[1]
                     })
                 });
                 continue;
             }
+            // The scene's image says what light it is.
+            Light::Surroundings { .. } => continue,
             Light::Headlight { color } => (to_eye, (color, 1.0)),
             Light::Sun { direction, color, .. } => (-direction, (color, 1.0)),
             Light::Point { position, color, range } => {
@@ -71,6 +88,27 @@ pub fn shade(surface: &Surface, prepared: &Prepared<'_>, eye: DVec3) -> [f64; 3]
         }
     }
     prepared.scene.tone.map_or(sum, |tone| tone::mapped(sum, &tone))
+}
+
+/// Light of surroundings that falls on a surface, and that it mirrors.
+fn around(
+    surroundings: &Surroundings<'_>,
+    surface: &Surface,
+    to_eye: DVec3,
+    reflection: Option<Reflection>,
+) -> [[f64; 3]; 2] {
+    let normal = surface.normal_world;
+    let falling = match surface.lit_as {
+        LitAs::Solid => surroundings.falling(normal),
+        LitAs::Sheet => {
+            let sides = [normal, -normal].map(|normal| surroundings.falling(normal));
+            std::array::from_fn(|channel| 0.5 * (sides[0][channel] + sides[1][channel]))
+        }
+        LitAs::Line(tangent) => surroundings.falling_on_cylinder(tangent, to_eye),
+    };
+    let mirrored = reflection
+        .map(|own| surroundings.mirrored(own.direction_of_most(normal, to_eye), own.roughness));
+    [falling, mirrored.unwrap_or_default()]
 }
 
 /// The mean of `max(0, n·l)` over the visible half of a cylinder, and about that of its highlight (Mallo et al. 2005; Zöckler et al. 1996

@@ -57,6 +57,7 @@ pub fn scene<'a>(items: Vec<OracleItem<'a>>) -> OracleScene<'a> {
         recolor: None,
         clip: None,
         edl: None,
+        surroundings: None,
         fog: None,
         occlusion: None,
         tone: None,

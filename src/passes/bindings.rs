@@ -117,6 +117,7 @@ impl<'a> Names<'a> {
             }
             "shadow_maps" => self.shadow_maps?,
             "lights" => &scene.lights,
+            "environment" => &scene.environment.as_ref()?.buffer,
             "fields" => &scene.field_table,
             // Shaders read no values of pages that have none.
             "values" => {

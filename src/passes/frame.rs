@@ -60,6 +60,8 @@ pub struct FrameTask {
     pub least_line_px: f32,
     /// Linear RGB and straight alpha of pixels that show nothing.
     pub background: [f32; 4],
+    /// The scene's surroundings light it.
+    pub environment: bool,
     /// Fog that surfaces and the background are seen through.
     pub fog: Option<Fog>,
     /// Ambient occlusion.

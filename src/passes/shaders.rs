@@ -97,6 +97,8 @@ fragments![
     "shared/vote_alone",
     "shared/normals",
     "shared/phong",
+    "shared/environment_none",
+    "shared/environment_map",
     "shared/physical",
     "shared/tone",
     "shared/maps_none",
@@ -121,6 +123,7 @@ fragments![
     "shared/splat",
     "shared/kernel",
     "shared/landing",
+    "shared/halves",
     "shared/patches",
     "shared/corner",
     "shared/level_bounds",
@@ -273,6 +276,8 @@ pub struct Choices {
     pub lit: bool,
     /// `SHADOWS`: lights cast shadows.
     pub shadows: bool,
+    /// `ENVIRONMENT`: the scene's surroundings light it.
+    pub environment: bool,
     /// `OPENNESS`: surfaces hide ambient light from each other.
     pub occlusion: bool,
     /// `KEPT_MAPS`: kept surfaces have what maps say of them.
@@ -302,6 +307,7 @@ impl Default for Choices {
             normal_sums: false,
             lit: false,
             shadows: false,
+            environment: false,
             occlusion: false,
             maps: false,
             trees: false,
@@ -315,7 +321,7 @@ impl Default for Choices {
 }
 
 impl Choices {
-    fn aliases(&self) -> [(&'static str, &'static str); 18] {
+    fn aliases(&self) -> [(&'static str, &'static str); 19] {
         let either = |choice, yes, no| if choice { yes } else { no };
         [
             ("VOTE", either(self.subgroups, "shared/vote_subgroup", "shared/vote_alone")),
@@ -333,6 +339,10 @@ impl Choices {
             ),
             ("LIT", either(self.lit, "shared/lit_splat", "shared/lit_none")),
             ("SHADOWS", either(self.shadows, "shared/shadow_maps", "shared/shadow_none")),
+            (
+                "ENVIRONMENT",
+                either(self.environment, "shared/environment_map", "shared/environment_none"),
+            ),
             ("OPENNESS", either(self.occlusion, "shared/openness_near", "shared/openness_all")),
             ("KEPT_MAPS", either(self.maps, "shared/maps_kept", "shared/maps_none")),
             ("ENTRIES", either(self.trees, "shared/entries_tree", "shared/entries_full")),

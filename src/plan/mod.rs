@@ -38,6 +38,10 @@ pub struct SceneFacts {
     pub lights: u32,
     /// Suns that cast shadows.
     pub casting_lights: u32,
+    /// It has surroundings that light it.
+    pub environment: bool,
+    /// They are its background.
+    pub shows_environment: bool,
     /// It has fog.
     pub fog: bool,
     /// That fog becomes thinner with height.
@@ -152,6 +156,10 @@ pub struct FrameFacts {
     pub edl: Option<EyeDome>,
     /// Shadows are wanted where a light casts them.
     pub shadows: Shadows,
+    /// Surroundings are wanted where the scene has some.
+    pub environment: Effect,
+    /// The request names a background.
+    pub has_background: bool,
     /// Fog is wanted where the scene has some.
     pub fog: Effect,
     /// Ambient occlusion is wanted where the scene has some.
@@ -176,6 +184,8 @@ pub struct FramePlan {
     pub lights_pixels: bool,
     /// Surfaces are seen through fog.
     pub has_fog: bool,
+    /// Light comes from the directions that the scene's surroundings have it in.
+    pub has_environment: bool,
 }
 
 /// Consecutive passes of one stage, recorded once, for each segment of a kind, or for each digit of a sort.
@@ -285,6 +295,12 @@ impl Facts<'_> {
         self.scene.fog && frame.fog == Effect::On && frame.output == Output::Color
     }
 
+    /// Whether the scene's surroundings are drawn.
+    fn has_environment(&self) -> bool {
+        let frame = self.frame;
+        self.scene.environment && frame.environment == Effect::On && frame.output == Output::Color
+    }
+
     /// Whether light is computed for each pixel. Splats that are lit one by one need none after they are blended.
     fn lights_pixels(&self) -> bool {
         let reconstruction = &self.frame.reconstruction;
@@ -305,6 +321,7 @@ pub fn plan(scene: &SceneFacts, frame: &FrameFacts, adapter: &AdapterFacts) -> F
         passes: Pass::ALL.iter().map(planned).collect(),
         lights_pixels: facts.lights_pixels(),
         has_fog: facts.has_fog(),
+        has_environment: facts.has_environment(),
     }
 }
 

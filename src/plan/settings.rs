@@ -94,6 +94,7 @@ const SHADOWS: Rule = Rule::new("shadows", &["on"], "shadows are off");
 const CASTING: Rule = Rule::new("casting_lights", &["some"], "");
 const LIT: Rule = Rule::new("lights", &["some"], "");
 const OCCLUDED: Rule = Rule::new("scene_occlusion", &["some"], "");
+const SURROUNDED: Rule = Rule::new("scene_environment", &["some"], "");
 const FOGGY: Rule = Rule::new("scene_fog", &["some"], "");
 const EDL: Rule = Rule::new("edl", &["on", "auto"], "eye-dome lighting is off");
 const SURELY_SPLATS: Rule = Rule::new("reconstruct", &["splats", "fuzzy", "painted"], "");
@@ -303,6 +304,10 @@ settings! {
     /// Whether the scene's ambient occlusion is drawn.
     ao: Effect => Effect {
         label: "Ambient occlusion", kind: SettingKind::own::<Effect>(), needs: [], useful_with: [COLORS, OCCLUDED], trades: Trade::variant()
+    }
+    /// Whether the scene's environment is drawn. Where it is off, ambient light as bright as its mean takes its place.
+    environment: Effect => Effect {
+        label: "Environment", kind: SettingKind::own::<Effect>(), needs: [], useful_with: [COLORS, SURROUNDED], trades: Trade::variant()
     }
     /// Whether the scene's fog is drawn.
     fog: Effect => Effect {
@@ -551,6 +556,7 @@ impl Settings {
         known.insert("lights".to_owned(), some(scene.lights.into()).into());
         known.insert("casting_lights".to_owned(), some(scene.casting_lights.into()).into());
         known.insert("scene_occlusion".to_owned(), some(scene.occlusion.into()).into());
+        known.insert("scene_environment".to_owned(), some(scene.environment.into()).into());
         known.insert("scene_fog".to_owned(), some(scene.fog.into()).into());
         known.insert("output".to_owned(), serde_json::json!(output));
         let is_open = |rule: &Rule| known.get(rule.of).is_none_or(Value::is_null);

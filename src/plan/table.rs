@@ -24,6 +24,7 @@ macro_rules! pass_table {
         $reader! {
             ShadowMap            Fill    shadow/shadow_map             ""    [Shadows]           Frame     [NOT_COLOR NO_CASTER WITHOUT_SHADOWS];
             Clear                Fill    select/clear                  ""    [Select]            Frame     [];
+            EnvironmentBackground Compute select/environment_background "" [Select]          Frame     [NOT_COLOR NO_ENVIRONMENT WITHOUT_ENVIRONMENT UNSEEN_ENVIRONMENT OTHER_BACKGROUND BEHIND_FOG];
             FogBackground        Compute select/fog_background         ""    [Select]            Frame     [NOT_COLOR NO_FOG WITHOUT_FOG EVEN_FOG];
             CullGroups           Compute select/cull_groups            ""    [Select]            Frame     [FULL_DETAIL];
             ListGroups           Compute select/list_groups            ""    [Select]            Frame     [FULL_DETAIL];
@@ -240,6 +241,11 @@ reasons! {
     WITHOUT_OCCLUSION: "ambient occlusion is off", |f| f.frame.occlusion == super::Effect::Off;
     DEPTHLESS: "splats that are drawn so leave no depths for ambient occlusion", |f| f.leaves_no_depths();
     LIT_SINGLY: "splats are lit one by one, so that their ambient light is mixed with the rest", |f| f.lights_splats();
+    NO_ENVIRONMENT: "the scene has no environment", |f| !f.scene.environment;
+    WITHOUT_ENVIRONMENT: "the environment is off", |f| f.frame.environment == super::Effect::Off;
+    UNSEEN_ENVIRONMENT: "the environment is not the scene's background", |f| !f.scene.shows_environment;
+    OTHER_BACKGROUND: "the request has a background of its own", |f| f.frame.has_background;
+    BEHIND_FOG: "fog that is as dense everywhere hides it", |f| f.has_fog() && !f.scene.layered_fog;
     NO_FOG: "the scene has no fog", |f| !f.scene.fog;
     WITHOUT_FOG: "fog is off", |f| f.frame.fog == super::Effect::Off;
     EVEN_FOG: "the fog is as dense at every height", |f| !f.scene.layered_fog;

@@ -38,6 +38,7 @@ use self::pages::Pages;
 use self::parts::ChunkParts;
 pub use self::parts::PART;
 use self::slots::Slots;
+use crate::bake::environment::EnvironmentMap;
 use crate::bake::pack::{GeometryKind, PageKind};
 use crate::gpu::Gpu;
 use crate::gpu::buffer::Buffer;
@@ -151,6 +152,12 @@ pub struct TreeLists {
     pub group_count: u32,
 }
 
+/// Blurred images of surroundings.
+pub struct ResidentEnvironment {
+    map: Arc<EnvironmentMap>,
+    pub buffer: Buffer,
+}
+
 /// Buffers that the passes bind for one scene.
 pub struct ResidentScene {
     /// [`SceneModel::uid`].
@@ -163,6 +170,8 @@ pub struct ResidentScene {
     slots: Option<Slots>,
     pub lists: Lists,
     pub lights: Buffer,
+    /// Blurred images of its surroundings, where it has some.
+    pub environment: Option<ResidentEnvironment>,
     /// Scalar fields of its points, and the table of shaders that shows them.
     pub fields: Vec<SceneField>,
     pub field_table: Buffer,

@@ -10,6 +10,7 @@ use super::instances::Instances;
 use super::layout::{GpuEntry, GpuInstance, INSTANCE_GROUP, two_floats};
 use super::once::MadeOnce;
 use super::slots;
+use crate::bake::environment::EnvironmentMap;
 use crate::bake::outline::Outline;
 use crate::bake::pack::{Counts, GeometryKind, Grid, PackError, PackedAsset, PackedGeometry};
 use crate::bake::prepare::AssetTraits;
@@ -90,6 +91,8 @@ pub struct SceneModel {
     pub lights: Vec<Light>,
     /// Linear RGB, straight alpha.
     pub background: [f32; 4],
+    /// Surroundings that light the scene.
+    pub environment: Option<Arc<EnvironmentMap>>,
     pub fog: Option<Fog>,
     pub occlusion: Option<AmbientOcclusion>,
     pub cameras: Vec<(String, Camera)>,
@@ -226,13 +229,15 @@ impl SceneModel {
             .sum()
     }
 
-    /// Bytes of its own lists of instances and chunks, assets left aside.
+    /// Bytes of its own lists of instances and chunks and of its surroundings, assets left aside.
     pub fn list_bytes(&self) -> u64 {
+        let surroundings = self.environment.as_ref().map_or(0, |map| map.bytes());
         if self.trees {
-            return self.group_bytes();
+            return surroundings + self.group_bytes();
         }
         let counts = self.counts();
-        counts.instances * size_of::<GpuInstance>() as u64
+        surroundings
+            + counts.instances * size_of::<GpuInstance>() as u64
             + counts.chunks * size_of::<GpuEntry>() as u64
     }
 

@@ -10,8 +10,8 @@ use super::lists::Previous;
 use super::model::{AssetModel, SceneModel};
 use super::parts::{ChunkParts, parts_of};
 use super::{
-    Looks, PARTS_BYTES, Piece, Residency, ResidencyError, ResidentAsset, ResidentGeometry,
-    ResidentScene, SceneMaterials, TEXEL_PAGES,
+    Looks, PARTS_BYTES, Piece, Residency, ResidencyError, ResidentAsset, ResidentEnvironment,
+    ResidentGeometry, ResidentScene, SceneMaterials, TEXEL_PAGES,
 };
 use crate::assets::{Encoding, Material};
 use crate::bake::pack::{PackedChunk, PackedGeometry, Sides};
@@ -114,6 +114,9 @@ fn gpu_light(light: &Light) -> GpuLight {
     let rgb = |c: [f32; 3]| [c[0], c[1], c[2], 0.0];
     match *light {
         Light::Ambient { color } => GpuLight { kind: 0, color: rgb(color), ..Default::default() },
+        Light::Surroundings { color } => {
+            GpuLight { kind: 4, color: rgb(color), ..Default::default() }
+        }
         Light::Headlight { color } => GpuLight { kind: 1, color: rgb(color), ..Default::default() },
         Light::Sun { direction, color, .. } => {
             let d = direction.as_vec3();
@@ -355,8 +358,9 @@ impl Residency {
         &mut self,
         gpu: &Gpu,
         model: &SceneModel,
-        previous: Option<ResidentScene>,
+        mut previous: Option<ResidentScene>,
     ) -> Result<ResidentScene, ResidencyError> {
+        let surroundings = previous.as_mut().and_then(|scene| scene.environment.take());
         let overrides: Vec<GpuMaterial> = model.materials.iter().map(gpu_override).collect();
         let (materials, previous) = match previous {
             Some(scene) if scene.materials.overrides == overrides => {
@@ -388,6 +392,13 @@ impl Residency {
                 | wgpu::BufferUsages::COPY_DST,
         );
         gpu.queue.write_buffer(lights_buffer.raw(), 0, bytemuck::cast_slice(&lights));
+        let environment = model.environment.as_ref().map(|map| {
+            let kept = surroundings.filter(|kept| Arc::ptr_eq(&kept.map, map));
+            kept.unwrap_or_else(|| ResidentEnvironment {
+                map: map.clone(),
+                buffer: Buffer::with_data(gpu, "environment", &map.texels),
+            })
+        });
         let fields = fields::scene_fields(&model.assets);
         let field_table = Buffer::with_data(gpu, "fields", &fields::table(&model.assets, &fields));
         Ok(ResidentScene {
@@ -398,6 +409,7 @@ impl Residency {
             slots: listed.slots,
             lists: listed.lists,
             lights: lights_buffer,
+            environment,
             fields,
             field_table,
             pages: listed.pages,

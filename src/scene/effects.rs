@@ -1,6 +1,8 @@
 //! Effects that the renderer and the oracle draw alike.
 
-use glam::DVec3;
+use std::path::PathBuf;
+
+use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
 /// Samples as discs that face the image plane, each at its own depth. Of the two diameters the larger one in the image counts.
@@ -48,6 +50,19 @@ pub struct AmbientOcclusion {
     pub radius: f64,
     /// Share of the hidden light that is taken away, above 0 and up to 1.
     pub strength: f64,
+}
+
+/// An image of a scene's surroundings, infinitely far away: its light falls on surfaces from all directions.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Environment {
+    /// An equirectangular image; absolute, inside the scene root.
+    pub path: PathBuf,
+    /// Factor of its light, above 0.
+    pub strength: f64,
+    /// Turns directions of the world to those of the image: `+y` is its upper edge, `-z` its centre, and `+x` lies right of the centre.
+    pub image_from_world: DMat3,
+    /// Pixels that nothing covers show it.
+    pub shown: bool,
 }
 
 /// How light of any strength becomes a colour that can be shown.

@@ -34,7 +34,7 @@ mod wire;
 pub use assets::{
     AsLines, AssetRef, AssetSource, CsgOperation, FileSource, MeshSampling, Operand, Solid,
 };
-pub use effects::{AmbientOcclusion, Discs, EyeDome, Fog, FogLayer, Tone, ToneMap};
+pub use effects::{AmbientOcclusion, Discs, Environment, EyeDome, Fog, FogLayer, Tone, ToneMap};
 pub use instance_path::{InstancePath, InstancePaths, PathStep};
 pub use load::{load, load_path, load_within, parse, parse_path};
 pub use path::{CameraPath, Ease, Interpolation, PathKey, PathSampler};
@@ -63,6 +63,7 @@ pub struct Scene {
     pub lights: Vec<Light>,
     /// Linear RGB and alpha of pixels that nothing covers.
     pub background: [f32; 4],
+    pub environment: Option<Environment>,
     pub fog: Option<Fog>,
     pub occlusion: Option<AmbientOcclusion>,
     pub cameras: Vec<(String, Camera)>,
@@ -191,6 +192,10 @@ pub enum Light {
     },
     /// Shines from the eye along the view direction.
     Headlight {
+        color: [f32; 3],
+    },
+    /// Comes from all directions, as the image of the scene's [`Environment`] has it. `color` is its mean over all directions.
+    Surroundings {
         color: [f32; 3],
     },
     /// Parallel light travelling along `direction` (unit length).

@@ -60,12 +60,16 @@ pub(super) struct SceneFile {
     #[serde(default)]
     #[schemars(with = "BTreeMap<String, MaterialWire>")]
     pub materials: Named<MaterialWire>,
-    /// When absent: a headlight (0.63) and ambient light (0.07). An empty list means unlit.
+    /// When absent: a headlight (0.63) and ambient light (0.07), or nothing where the scene has an `environment`. An empty list means unlit, but for
+    /// the light of an `environment`.
     #[serde(default)]
     pub lights: Option<Vec<Object<LightWire>>>,
     /// Colour of pixels that nothing covers, `#202428` when absent.
     #[serde(default)]
     pub background: Option<ColorWire>,
+    /// An image of the scene's surroundings, which lights surfaces, is reflected by them, and is the background.
+    #[serde(default)]
+    pub environment: Option<Object<EnvironmentWire>>,
     /// Fog that surfaces are seen through, and an opaque background with them.
     #[serde(default)]
     pub fog: Option<Object<FogWire>>,
@@ -331,6 +335,24 @@ pub(super) struct LightWire {
     /// are the shadows' edges; with 0 they are hard.
     #[serde(default)]
     pub angle: Option<f64>,
+}
+
+#[derive(Debug, serde::Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct EnvironmentWire {
+    /// An equirectangular image, twice as wide as high: Radiance HDR, OpenEXR, or any format that textures have. Relative to the scene file, inside the
+    /// scene root.
+    pub file: String,
+    /// Factor of its light, above 0 and up to 1e6; 1 when absent. White surroundings of strength 1 light a white surface to white.
+    #[serde(default)]
+    pub strength: Option<f64>,
+    /// Degrees by which the surroundings are turned about the scene's up, counter-clockwise as seen from above, 0 when absent. The centre of the image lies
+    /// at -z then where up is y, and at +y where up is z.
+    #[serde(default)]
+    pub turn: Option<f64>,
+    /// Whether pixels that nothing covers show it in place of the `background`, true when absent.
+    #[serde(default)]
+    pub background: Option<bool>,
 }
 
 #[derive(Debug, serde::Deserialize, JsonSchema)]

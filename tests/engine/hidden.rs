@@ -72,6 +72,11 @@ fn load(studio: &Studio) {
         "pane.obj",
         "mtllib pane.mtl\nusemtl pane\nv -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nv -1 1.1 0\nf 1 2 3 4\nf 3 4 5\n",
     );
+    let sky =
+        image::RgbImage::from_fn(8, 4, |x, y| image::Rgb([90, 40 + 20 * x as u8, 60 * y as u8]));
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    sky.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+    studio.write("sky.png", bytes.into_inner());
     studio.load_json(
         "glass",
         &json!({
@@ -82,6 +87,7 @@ fn load(studio: &Studio) {
                 { "kind": "sun", "direction": [0.2, -1, 0.3], "shadows": true },
             ],
             "ambient_occlusion": { "radius": 0.5 },
+            "environment": { "file": "sky.png", "strength": 0.4 },
             "fog": { "color": "#a0b0c0", "density": 0.05, "scale_height": 2 },
         }),
     );

@@ -104,6 +104,7 @@ fn textured(uid: u64, texels: &[u32], materials: usize) -> Arc<SceneModel> {
         materials: Vec::new(),
         lights: Vec::new(),
         background: [0.0; 4],
+        environment: None,
         fog: None,
         occlusion: None,
         cameras: Vec::new(),

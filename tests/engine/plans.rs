@@ -16,7 +16,7 @@ const SHIPPED: [(&str, &str); 8] = [
     ),
     (
         "materials",
-        "shadow_map clear place cull scan compact project_triangles walk_triangles resolve_triangles ambient_occlusion write_output",
+        "shadow_map clear environment_background place cull scan compact project_triangles walk_triangles resolve_triangles ambient_occlusion write_output",
     ),
     ("neurons", "clear place cull scan compact project_lines walk_lines resolve_lines"),
     (
@@ -65,6 +65,9 @@ fn shipped_scenes_run_the_passes_that_they_call_for() {
     assert_eq!(found, BTreeMap::from(expected));
 }
 
+const EFFECTS: [&str; 4] =
+    ["shadow_map", "environment_background", "ambient_occlusion", "fog_background"];
+
 /// With its effects turned off, a scene has no pass for them.
 #[test]
 fn effects_that_are_off_have_no_pass() {
@@ -73,6 +76,7 @@ fn effects_that_are_off_have_no_pass() {
     let off = Settings {
         shadows: Shadows::Off,
         ao: Effect::Off,
+        environment: Effect::Off,
         fog: Effect::Off,
         edl: Edl::Off,
         ..Settings::default()
@@ -80,13 +84,11 @@ fn effects_that_are_off_have_no_pass() {
     for (name, all) in SHIPPED {
         studio.engine.load(name, &root.join(format!("{name}.json"))).unwrap();
         let left = passes(&studio, name, off);
-        for pass in ["shadow_map", "ambient_occlusion", "fog_background"] {
+        for pass in EFFECTS {
             assert!(!left.split(' ').any(|one| one == pass), "{name}: {left}");
         }
         // Nothing else changes but the pass that waits for effects.
-        let rest = all.split(' ').filter(|pass| {
-            !["shadow_map", "ambient_occlusion", "fog_background", "write_output"].contains(pass)
-        });
+        let rest = all.split(' ').filter(|pass| *pass != "write_output" && !EFFECTS.contains(pass));
         let left = left.split(' ').filter(|pass| *pass != "write_output");
         assert!(left.eq(rest), "{name}");
     }

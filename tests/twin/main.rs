@@ -14,6 +14,7 @@ mod clip_boxes;
 mod color_by;
 mod counts;
 mod effects;
+mod environment;
 mod fields;
 mod files;
 mod fog;

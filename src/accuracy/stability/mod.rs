@@ -16,6 +16,7 @@ use glam::{DVec2, Vec2};
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::steady::Steadiness;
 use crate::gpu::GpuError;
 use crate::gpu::shader::ShaderError;
 use crate::scene::random::SplitMix64;
@@ -54,6 +55,8 @@ pub struct Stability {
     pub rows: Vec<Row>,
     /// Whether every row holds.
     pub holds: bool,
+    /// Random views of scenes.
+    pub scenes: Vec<Steadiness>,
 }
 
 /// One class of splats.
@@ -190,7 +193,15 @@ pub fn stability(seed: u64, count: u32) -> Result<Stability, StabilityError> {
     }
     let holds = rows.iter().all(|row| row.holds);
     let adapter = device.adapter().to_owned();
-    Ok(Stability { adapter, seed, count, condition_max: formulas::CONDITION_MAX, rows, holds })
+    Ok(Stability {
+        adapter,
+        seed,
+        count,
+        condition_max: formulas::CONDITION_MAX,
+        rows,
+        holds,
+        scenes: Vec::new(),
+    })
 }
 
 /// The points at which kernel coordinates are compared: on the splat's outline, rounded to f32 as pixel coordinates are.

@@ -1,9 +1,11 @@
 //! The report as a table, in plain text and in Markdown.
 
+use std::collections::BTreeSet;
 use std::fmt;
 
 use comfy_table::{CellAlignment, Table, TableStyle, presets};
 
+use super::super::steady::SIZE;
 use super::{Compared, Row, Stability};
 
 const HEADER: [&str; 13] = [
@@ -21,6 +23,9 @@ const HEADER: [&str; 13] = [
     "NaN, ∞",
     "verdict",
 ];
+
+const SCENES: [&str; 8] =
+    ["scene", "views", "refused", "NaN", "changed", "bound", "beyond", "verdict"];
 
 const LEGEND: &str = "\
 Worst error of an outline in px: edges of its box, centre, and the outline itself in 16 directions, within ±2^20 px.
@@ -84,19 +89,69 @@ impl Stability {
         table
     }
 
+    /// Scenes as rows; `None` where none were drawn.
+    fn scenes(&self, style: TableStyle) -> Option<Table> {
+        let mut table = Table::new();
+        table.load_style(style).set_header(SCENES);
+        for found in &self.scenes {
+            let verdict = match &found.first_broken {
+                None => "holds".to_owned(),
+                Some(first) => format!("BROKEN, first with {}", first.settings),
+            };
+            table.add_row([
+                found.scene.clone(),
+                found.views.to_string(),
+                found.refused.values().sum::<u64>().to_string(),
+                found.not_finite.to_string(),
+                found.worst_changed.to_string(),
+                found.bound.to_string(),
+                found.unsteady.to_string(),
+                verdict,
+            ]);
+        }
+        for column in table.column_iter_mut().skip(1).take(SCENES.len() - 2) {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+        (!self.scenes.is_empty()).then_some(table)
+    }
+
+    /// What the table of scenes means, and why views were refused.
+    fn scenes_legend(&self) -> String {
+        let [width, height] = SIZE;
+        let settings = self.scenes.iter().map(|found| found.settings).max().unwrap_or(0);
+        let reasons: BTreeSet<&String> =
+            self.scenes.iter().flat_map(|found| found.refused.keys()).collect();
+        let reasons: Vec<&str> = reasons.into_iter().map(String::as_str).collect();
+        let refused = match reasons.as_slice() {
+            [] => String::new(),
+            reasons => format!("\nrefused: {}.", reasons.join("; ")),
+        };
+        format!(
+            "Random views of {width}×{height} px with {settings} settings in turn, each beside a view 0.001 px aside.\nNaN: depths that are no numbers. changed: pixels whose colour differs by more than 32 of 255 in the worst pair.{refused}"
+        )
+    }
+
     /// The report as a page of Markdown.
     pub fn markdown(&self) -> String {
         let Stability { adapter, seed, count, .. } = self;
         let legend = LEGEND.trim_end().replace('\n', "  \n");
         let table = self.table(presets::ASCII_MARKDOWN);
+        let scenes = self.scenes(presets::ASCII_MARKDOWN).map_or_else(String::new, |scenes| {
+            let legend = self.scenes_legend().replace('\n', "  \n");
+            format!("\n# Random views of scenes\n\n{legend}\n\n{scenes}\n")
+        });
         format!(
-            "# Outlines of splats in f32\n\n{count} splats a row, seed {seed}, {adapter}.\n\n{legend}\n\n{table}\n"
+            "# Outlines of splats in f32\n\n{count} splats a row, seed {seed}, {adapter}.\n\n{legend}\n\n{table}\n{scenes}"
         )
     }
 }
 
 impl fmt::Display for Stability {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}\n\n{LEGEND}adapter: {}\n", self.table(presets::NOTHING), self.adapter)
+        write!(f, "{}\n\n{LEGEND}adapter: {}\n", self.table(presets::NOTHING), self.adapter)?;
+        match self.scenes(presets::NOTHING) {
+            Some(scenes) => write!(f, "\n{scenes}\n\n{}\n", self.scenes_legend()),
+            None => Ok(()),
+        }
     }
 }

@@ -89,8 +89,15 @@ fn a_broken_bound_shows() {
     assert!(!judged.holds());
     let row = Row { class: "ordinary".to_owned(), misclassified: 5, ..Row::default() };
     let adapter = "a GPU".to_owned();
-    let report =
-        Stability { adapter, seed: 1, count: 2, condition_max: 1.0, rows: vec![row], holds: false };
+    let report = Stability {
+        adapter,
+        seed: 1,
+        count: 2,
+        condition_max: 1.0,
+        rows: vec![row],
+        holds: false,
+        scenes: Vec::new(),
+    };
     assert!(report.to_string().contains("BROKEN, 5 on the wrong side"));
     assert!(report.markdown().contains("| ordinary"));
 }

@@ -14,6 +14,7 @@ fn drawing_of(counts: Counts, settings: &Settings) -> Drawing {
         counts,
         lights: 1,
         casting_lights: 1,
+        environment: true,
         fog: true,
         occlusion: true,
         trees: true,

@@ -98,6 +98,7 @@ fn choices(recorder: &Recorder) -> Choices {
         wide_sums: recorder.context.gpu.atomic_sums_64,
         normal_sums: recorder.task.is_deferred(),
         lit: is_lit(recorder),
+        environment: is_lit(recorder) && recorder.task.environment,
         shadows: is_lit(recorder) && recorder.task.shadows.is_some(),
         nodes: is_tree(recorder, segment),
         fields: recorder.task.shows_field(),

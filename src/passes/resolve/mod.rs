@@ -40,23 +40,29 @@ pub fn light_constants(recorder: &Recorder) -> Constants {
         ("POINT_LIGHTS", u32::from(looks.point_lights)),
         ("PHYSICAL", u32::from(looks.physical)),
         ("EMISSIVE", u32::from(looks.emissive)),
-        ("TONE", recorder.task.tone.map_or(0, tone_number)),
         ("MATERIALS", u32::from(looks.has_looked_up())),
         ("FEW_LIGHTS", if lights > FEW_LIGHTS { 0 } else { lights }),
     ];
+    constants.extend(tone_constants(recorder));
     if let maps @ 1.. = recorder.task.maps_per_sun() {
         constants.push(("SUN_MAPS", maps));
     }
     constants
 }
 
-/// The number of a tone curve in `shared/tone`.
-fn tone_number(tone: Tone) -> u32 {
-    match tone.map {
+/// Override of `shared/tone`.
+pub fn tone_constants(recorder: &Recorder) -> Constants {
+    let number = |tone: Tone| match tone.map {
         ToneMap::None => 1,
         ToneMap::Neutral => 2,
         ToneMap::Aces => 3,
-    }
+    };
+    vec![("TONE", recorder.task.tone.map_or(0, number))]
+}
+
+/// Whether pixels are lit by the scene's surroundings.
+fn surrounded(recorder: &Recorder) -> bool {
+    recorder.task.environment && recorder.task.plan.lights_pixels
 }
 
 /// Fragments of a resolve pass: surfaces are kept if a later pass writes the output.
@@ -65,7 +71,7 @@ fn choices(recorder: &Recorder) -> Choices {
     let kept = !layers && recorder.task.plan.runs(Pass::WriteOutput);
     let shadows = recorder.task.shadows.is_some();
     let maps = kept && recorder.scene.looks.maps;
-    Choices { kept, layers, shadows, maps, ..Choices::default() }
+    Choices { kept, layers, shadows, environment: surrounded(recorder), maps, ..Choices::default() }
 }
 
 /// Override of the value that colours surfaces, where one does.

@@ -1,6 +1,6 @@
 //! The output of kept surfaces, after effects that depend on neighbouring pixels.
 
-use super::{output_constants, recolor_constants, tiles};
+use super::{output_constants, recolor_constants, surrounded, tiles};
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::{Call, Recorder};
 use crate::passes::shaders::Choices;
@@ -19,6 +19,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     recorder.compute(Call {
         choices: Choices {
             shadows: recorder.task.shadows.is_some(),
+            environment: surrounded(recorder),
             occlusion,
             maps: recorder.scene.looks.maps,
             ..Choices::default()

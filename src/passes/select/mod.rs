@@ -6,6 +6,7 @@ pub mod cull;
 pub mod cull_groups;
 pub mod cull_hidden;
 pub mod depth_pyramid;
+pub mod environment_background;
 pub mod fog_background;
 pub mod launch_portions;
 pub mod list_entries;

@@ -21,7 +21,7 @@ pub struct Setting {
     /// Where one of these does not hold, a value is refused, unless it is the default of a choice.
     pub needs: Vec<Rule>,
     /// Where one of these does not hold, the setting has no effect worth a control, or the rule's value cannot be drawn. `output`, `samples`,
-    /// `segments`, `lights`, `casting_lights`, `scene_fog`, `scene_occlusion` and `fields` are facts of the frame and its scene; `fields` are the names of its scalar fields.
+    /// `segments`, `lights`, `casting_lights`, `scene_environment`, `scene_fog`, `scene_occlusion` and `fields` are facts of the frame and its scene; `fields` are the names of its scalar fields.
     pub useful_with: Vec<Rule>,
     /// Whether the setting trades accuracy for time, so that comparisons vary it.
     #[serde(serialize_with = "is_there")]

@@ -44,6 +44,7 @@ fn every_setting_has_a_say_in_the_canonical_form() {
         counts,
         lights: 1,
         casting_lights: 1,
+        environment: true,
         fog: true,
         occlusion: true,
         ..SceneFacts::default()
@@ -85,6 +86,7 @@ fn declarations_are_complete() {
                     "segments",
                     "lights",
                     "casting_lights",
+                    "scene_environment",
                     "scene_fog",
                     "scene_occlusion",
                     "fields",

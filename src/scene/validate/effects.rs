@@ -1,18 +1,50 @@
-//! Effects that a scene asks for: fog and ambient occlusion.
+//! Effects that a scene asks for: surroundings, fog and ambient occlusion.
 
-use glam::DVec3;
+use std::path::PathBuf;
+
+use glam::{DMat3, DVec3};
 
 use super::super::color::to_linear;
-use super::super::wire::{FogWire, OcclusionWire};
-use super::super::{AmbientOcclusion, Fog, FogLayer};
+use super::super::wire::{EnvironmentWire, FogWire, OcclusionWire};
+use super::super::{AmbientOcclusion, Environment, Fog, FogLayer};
 use super::look::{color, rgb};
-use super::{LARGEST_COORDINATE, Place, Valid, within};
+use super::{LARGEST_COORDINATE, LARGEST_INTENSITY, Place, Valid, within};
 
 const LARGEST_DENSITY: f64 = 1e9;
 /// Thinner fog is invisible at any coordinate; with a base far above, the shaders' exponents could not hold it.
 const SMALLEST_DENSITY: f64 = 1e-12;
 const SMALLEST_SCALE_HEIGHT: f64 = 1e-6;
 const SMALLEST_RADIUS: f64 = 1e-9;
+
+/// Weaker light is none in single precision.
+const SMALLEST_STRENGTH: f64 = 1e-12;
+
+/// The surroundings of a scene; `resolve` turns a file's name into its path.
+pub(super) fn environment(
+    wire: &EnvironmentWire,
+    up: DVec3,
+    resolve: &dyn Fn(&str) -> Result<PathBuf, String>,
+) -> Valid<Environment> {
+    let root = Place::Root;
+    let place = root.key("environment");
+    let path = match resolve(&wire.file) {
+        Ok(path) => path,
+        Err(reason) => return place.key("file").refuse(reason),
+    };
+    let strength = wire.strength.unwrap_or(1.0);
+    let strength = within(strength, SMALLEST_STRENGTH, LARGEST_INTENSITY, place.key("strength"))?;
+    let turn = within(wire.turn.unwrap_or(0.0), -1e6, 1e6, place.key("turn"))?;
+    // The shortest way from the image's up to the scene's, about x where they are opposite.
+    let axis = DVec3::Y.cross(up).try_normalize().unwrap_or(DVec3::X);
+    let upright = DMat3::from_axis_angle(axis, DVec3::Y.dot(up).clamp(-1.0, 1.0).acos());
+    let world_from_image = upright * DMat3::from_rotation_y(turn.rem_euclid(360.0).to_radians());
+    Ok(Environment {
+        path,
+        strength,
+        image_from_world: world_from_image.transpose(),
+        shown: wire.background.unwrap_or(true),
+    })
+}
 
 /// The fog of a scene; `None` where its density is 0.
 pub(super) fn fog(wire: &FogWire, up: DVec3) -> Valid<Option<Fog>> {

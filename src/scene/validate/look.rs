@@ -71,8 +71,11 @@ const MOST_LIGHTS: usize = 256;
 /// Angular diameter in degrees of the sun as seen from the Earth.
 const SUN_ANGLE_DEG: f64 = 0.53;
 
-pub(super) fn lights(wires: Option<&[Object<LightWire>]>) -> Valid<Vec<Light>> {
-    let Some(wires) = wires else { return Ok(Light::default_pair().to_vec()) };
+/// `surrounded`: the scene has surroundings that light it.
+pub(super) fn lights(wires: Option<&[Object<LightWire>]>, surrounded: bool) -> Valid<Vec<Light>> {
+    let Some(wires) = wires else {
+        return Ok(if surrounded { Vec::new() } else { Light::default_pair().to_vec() });
+    };
     let root = Place::Root;
     let place = root.key("lights");
     if wires.len() > MOST_LIGHTS {

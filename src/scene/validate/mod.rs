@@ -132,8 +132,13 @@ pub(super) fn scene(
         materials: each(&wire.materials, "materials", look::material)?,
         prototypes: prototypes(&wire.prototypes, &context)?,
         nodes: top_nodes(&wire.nodes, &context)?,
-        lights: look::lights(wire.lights.as_deref())?,
+        lights: look::lights(wire.lights.as_deref(), wire.environment.is_some())?,
         background: look::background(wire.background.as_ref())?,
+        environment: wire
+            .environment
+            .as_deref()
+            .map(|wire| effects::environment(wire, up, resolve))
+            .transpose()?,
         fog: wire.fog.as_deref().map(|fog| effects::fog(fog, up)).transpose()?.flatten(),
         occlusion: wire
             .ambient_occlusion

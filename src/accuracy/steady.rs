@@ -1,0 +1,277 @@
+//! Whether frames stay steady: random views of scenes with every setting, each drawn twice, the second time from a pose a thousandth of a pixel aside:
+//! `pointillist accuracy --stability --scenes`.
+//!
+//! Depths must be numbers. A small step must leave the colours of nearly all pixels as they are: only at outlines may a pixel show something else.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use glam::{DQuat, DVec3};
+use serde::Serialize;
+
+use super::sweep::Row;
+use crate::encode::ImageFormat;
+use crate::engine::{
+    EncodedFrame, Engine, EngineError, FrameRequest, FrameTicket, Pose, SceneInfo,
+};
+use crate::math::{Camera, Lens};
+use crate::plan::{Output, Settings};
+use crate::scene::random::SplitMix64;
+
+/// Size of the frames in pixels.
+pub const SIZE: [u32; 2] = [96, 72];
+/// The step between a pose and its neighbour, in pixels.
+const STEP_PX: f64 = 1e-3;
+/// A pixel changes where a channel differs by more than this, of 255.
+const CHANGE: u8 = 32;
+/// Pixels that may change: those whose outline the step crosses. Of an outline through every pixel, a step of a thousandth of a pixel crosses one pixel in a
+/// thousand; so many are allowed, and some more because few are random.
+const MOST_CHANGED: usize = (SIZE[0] * SIZE[1]) as usize / 1000 + 12;
+/// Poses with the same settings that are drawn together.
+const AT_ONCE: u32 = 16;
+/// Distances from the scene's middle, in halves of its diagonal; fields of view in degrees. Both are distributed evenly over their logarithms.
+const DISTANCES: [f64; 2] = [0.02, 200.0];
+const FIELDS_DEG: [f64; 2] = [0.02, 170.0];
+
+/// What the frames of a scene showed.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Steadiness {
+    pub scene: String,
+    /// Pairs of frames that were compared.
+    pub views: u64,
+    /// Ways to draw that were tried.
+    pub settings: usize,
+    /// Views that the engine refused, by the reason.
+    pub refused: BTreeMap<String, u64>,
+    /// Frames with a depth that is NaN, negative or −∞.
+    pub not_finite: u64,
+    /// Pixels that changed in the worst view, and the largest number that may.
+    pub worst_changed: usize,
+    pub bound: usize,
+    /// Views with more.
+    pub unsteady: u64,
+    /// The first view that is broken, as it can be asked for.
+    pub first_broken: Option<Broken>,
+    pub holds: bool,
+}
+
+/// A view whose frame broke a bound.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Broken {
+    pub settings: String,
+    pub eye: [f64; 3],
+    pub target: [f64; 3],
+    pub up: [f64; 3],
+    /// Degrees, or `None` for a view whose rays are parallel.
+    pub fov: Option<f64>,
+    pub ortho_height: Option<f64>,
+}
+
+/// Random views of a scene with all rows in turn.
+pub struct Sweep<'a> {
+    pub engine: &'a Engine,
+    pub rows: &'a [Row],
+    /// Pairs of frames.
+    pub views: u64,
+    pub seed: u64,
+    /// Ends the sweep early.
+    pub stop: &'a AtomicBool,
+}
+
+impl Sweep<'_> {
+    /// Draws a loaded scene and compares its frames; `told` hears of the views that are done.
+    ///
+    /// # Errors
+    /// The engine fails. A view that it refuses is counted instead.
+    pub fn of(
+        &self,
+        scene: &SceneInfo,
+        mut told: impl FnMut(u64),
+    ) -> Result<Steadiness, EngineError> {
+        let mut random = SplitMix64::stream(self.seed, 0);
+        let mut found = Steadiness {
+            scene: scene.name.clone(),
+            settings: self.rows.len(),
+            bound: MOST_CHANGED,
+            ..Steadiness::default()
+        };
+        let mut group = 0;
+        let mut left = self.views;
+        while left > 0 && !self.stop.load(Ordering::Relaxed) {
+            let count = left.min(u64::from(AT_ONCE));
+            let row = &self.rows[group % self.rows.len()];
+            let cameras: Vec<Camera> = (0..count).map(|_| camera(scene, &mut random)).collect();
+            self.compare(scene, row, &cameras, &mut random, &mut found)?;
+            left -= count;
+            group += 1;
+            told(self.views - left);
+        }
+        found.holds = found.not_finite == 0 && found.unsteady == 0;
+        Ok(found)
+    }
+
+    fn compare(
+        &self,
+        scene: &SceneInfo,
+        row: &Row,
+        cameras: &[Camera],
+        random: &mut SplitMix64,
+        found: &mut Steadiness,
+    ) -> Result<(), EngineError> {
+        let settings = Settings::from(row.given).complete();
+        let request = |camera: Camera, output| FrameRequest {
+            scene: scene.id.clone(),
+            pose: Pose::Camera(camera),
+            width: SIZE[0],
+            height: SIZE[1],
+            settings,
+            output,
+            format: ImageFormat::Raw,
+            quality: 100,
+            deadline: None,
+        };
+        let moved: Vec<Camera> = cameras.iter().map(|camera| beside(camera, random)).collect();
+        let tickets: Vec<[Result<FrameTicket, EngineError>; 3]> = cameras
+            .iter()
+            .zip(&moved)
+            .map(|(camera, moved)| {
+                [(camera, Output::Color), (moved, Output::Color), (camera, Output::Depth)]
+                    .map(|(camera, output)| self.engine.submit(request(*camera, output)))
+            })
+            .collect();
+        for (camera, tickets) in cameras.iter().zip(tickets) {
+            let frames = tickets.map(|ticket| ticket.and_then(FrameTicket::wait));
+            let [Ok(first), Ok(second), Ok(depth)] = frames else {
+                let error = frames.into_iter().find_map(Result::err);
+                let error = error.unwrap_or(EngineError::Internal("no frame".to_owned()));
+                let is_refused = matches!(
+                    error,
+                    EngineError::BadParameter { .. } | EngineError::OverLimit { .. }
+                );
+                if !is_refused {
+                    return Err(error);
+                }
+                *found.refused.entry(error.to_string()).or_default() += 1;
+                continue;
+            };
+            found.add(row, camera, [&first, &second, &depth]);
+        }
+        Ok(())
+    }
+}
+
+impl Steadiness {
+    fn add(&mut self, row: &Row, camera: &Camera, [first, second, depth]: [&Arc<EncodedFrame>; 3]) {
+        self.views += 1;
+        let is_depth = |bytes: &[u8; 4]| f32::from_le_bytes(*bytes) >= 0.0;
+        let is_finite = depth.bytes.as_chunks().0.iter().all(is_depth);
+        let changed = changed(&first.bytes, &second.bytes);
+        self.not_finite += u64::from(!is_finite);
+        self.worst_changed = self.worst_changed.max(changed);
+        let is_steady = changed <= self.bound;
+        self.unsteady += u64::from(!is_steady);
+        if !(is_finite && is_steady) && self.first_broken.is_none() {
+            self.first_broken = Some(Broken {
+                settings: row.label.clone(),
+                eye: camera.eye.into(),
+                target: camera.target.into(),
+                up: camera.up.into(),
+                fov: camera.lens.fov_deg(),
+                ortho_height: camera.lens.ortho_height(),
+            });
+        }
+    }
+}
+
+/// Pixels of two images, four bytes each, that differ.
+fn changed(a: &[u8], b: &[u8]) -> usize {
+    let (a, b) = (a.as_chunks::<4>().0, b.as_chunks::<4>().0);
+    let differ = |(a, b): &(&[u8; 4], &[u8; 4])| {
+        a.iter().zip(b.iter()).any(|(a, b)| a.abs_diff(*b) > CHANGE)
+    };
+    a.iter().zip(b).filter(differ).count()
+}
+
+fn direction(random: &mut SplitMix64) -> DVec3 {
+    let z = random.range(-1.0, 1.0);
+    let (sine, cosine) = random.range(0.0, std::f64::consts::TAU).sin_cos();
+    let level = (1.0 - z * z).max(0.0).sqrt();
+    DVec3::new(level * cosine, level * sine, z)
+}
+
+/// Evenly over the logarithms of a range.
+fn scaled(random: &mut SplitMix64, [low, high]: [f64; 2]) -> f64 {
+    random.range(f64::ln(low), f64::ln(high)).exp()
+}
+
+/// A view from anywhere, in any direction that may show something: from within the scene and from far away, rolled, of any field of view.
+fn camera(scene: &SceneInfo, random: &mut SplitMix64) -> Camera {
+    let [low, high] = scene.bounds.unwrap_or_default().map(DVec3::from);
+    let radius = (0.5 * (high - low).length()).max(1e-6);
+    let within = |random: &mut SplitMix64| {
+        DVec3::from_array(std::array::from_fn(|axis| random.range(low[axis], high[axis])))
+    };
+    let target = within(random);
+    let distance = radius * scaled(random, DISTANCES);
+    let eye = target + direction(random) * distance;
+    let lens = if random.chance(0.15) {
+        Lens::Orthographic { height: radius * scaled(random, DISTANCES) }
+    } else {
+        Lens::Perspective { fov_deg: scaled(random, FIELDS_DEG) }
+    };
+    Camera { eye, target, up: direction(random), lens }
+}
+
+/// The view turned by [`STEP_PX`] to some side, or moved by as much where its rays are parallel.
+fn beside(camera: &Camera, random: &mut SplitMix64) -> Camera {
+    let way = camera.target - camera.eye;
+    let aside = direction(random).reject_from(way).normalize_or(DVec3::X);
+    let height = f64::from(SIZE[1]);
+    match camera.lens {
+        Lens::Orthographic { height: own } => {
+            let step = aside * (own / height * STEP_PX);
+            Camera { eye: camera.eye + step, target: camera.target + step, ..*camera }
+        }
+        Lens::Perspective { fov_deg } => {
+            let pixel = 2.0 * (0.5 * fov_deg.to_radians()).tan() / height;
+            let turn = DQuat::from_axis_angle(aside, pixel * STEP_PX);
+            Camera { target: camera.eye + turn * way, ..*camera }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn changed_pixels_are_counted() {
+        let a = [10u8, 20, 30, 255, 0, 0, 0, 255, 100, 100, 100, 255];
+        let mut b = a;
+        assert_eq!(changed(&a, &b), 0);
+        b[1] += CHANGE;
+        assert_eq!(changed(&a, &b), 0);
+        b[1] += 1;
+        b[11] = 0;
+        assert_eq!(changed(&a, &b), 2);
+    }
+
+    /// The step moves the middle of the image by a thousandth of a pixel, whatever the lens.
+    #[test]
+    fn neighbours_are_a_small_step_aside() {
+        let mut random = SplitMix64::new(7);
+        for lens in [
+            Lens::Perspective { fov_deg: 0.05 },
+            Lens::Perspective { fov_deg: 150.0 },
+            Lens::Orthographic { height: 3.0 },
+        ] {
+            let camera =
+                Camera { eye: DVec3::new(3.0, 1.0, 5.0), target: DVec3::ONE, up: DVec3::Y, lens };
+            let moved = beside(&camera, &mut random).view(SIZE[0], SIZE[1]).unwrap();
+            let seen = moved.project(moved.to_view(camera.target)).unwrap();
+            let step = (seen - moved.principal_px).length();
+            assert!((step / STEP_PX - 1.0).abs() < 0.01, "{lens:?}: {step}");
+        }
+    }
+}
