@@ -351,12 +351,14 @@ fn blurred_row(ways: &[Vec3; BLOCK], cells: &[Cell], kernel: &impl Kernel) -> [V
     let mut sums = [[0.0; BLOCK]; 3];
     let mut weights = [0.0; BLOCK];
     for cell in cells {
-        let (centre, solid_angle) = (cell.centre, cell.solid_angle);
-        let light = cell.light * solid_angle;
+        let light = cell.light * cell.solid_angle;
+        let value = |i: usize, at: Vec3| {
+            let (dx, dy, dz) = (x[i] - at.x, y[i] - at.y, z[i] - at.z);
+            kernel.value(dx * dx + dy * dy + dz * dz)
+        };
         for i in 0..BLOCK {
-            let (dx, dy, dz) = (x[i] - centre.x, y[i] - centre.y, z[i] - centre.z);
-            let weight = kernel.value(dx * dx + dy * dy + dz * dz);
-            weights[i] += solid_angle * weight;
+            weights[i] += cell.solid_angle * value(i, cell.middle);
+            let weight = value(i, cell.centre);
             sums[0][i] += light.x * weight;
             sums[1][i] += light.y * weight;
             sums[2][i] += light.z * weight;
@@ -452,9 +454,12 @@ mod tests {
             let side = 32;
             let found = cells.blurred(side, kernel);
             let all = each(side, |way| exact(cells, way, kernel));
+            // At the horizon of a wide kernel, a part of a cell may be above it.
+            let brightest = all.iter().map(|light| light.max_element()).fold(0.0, f32::max);
             for (found, all) in found.iter().zip(&all) {
-                let apart = (found / all - 1.0).abs().max_element();
-                assert!(apart < 0.03, "{}: {found} {all}", kernel.width());
+                let apart = (found - all).abs().max_element();
+                let bound = 0.03 * all.min_element() + 0.003 * brightest;
+                assert!(apart < bound, "{}: {found} {all}", kernel.width());
             }
         }
         for alpha in [0.03, 0.2, 1.0] {
