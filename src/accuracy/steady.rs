@@ -25,9 +25,9 @@ pub const SIZE: [u32; 2] = [96, 72];
 const STEP_PX: f64 = 1e-3;
 /// A pixel changes where a channel differs by more than this, of 255.
 const CHANGE: u8 = 32;
-/// Pixels that may change: those whose outline the step crosses. Of an outline through every pixel, a step of a thousandth of a pixel crosses one pixel in a
-/// thousand; so many are allowed, and some more because few are random.
-const MOST_CHANGED: usize = (SIZE[0] * SIZE[1]) as usize / 1000 + 12;
+/// Pixels that may change: those across whose middle the step moves an outline, or a sample of one pixel across their edge. With a sample in every pixel, some
+/// 2.8 thousandths of them do, since a sample leaves one pixel and enters another; more where rows of samples lie along rows of pixels.
+const MOST_CHANGED: usize = (SIZE[0] * SIZE[1]) as usize / 100;
 /// Poses with the same settings that are drawn together.
 const AT_ONCE: u32 = 16;
 /// Distances from the scene's middle, in halves of its diagonal; fields of view in degrees. Both are distributed evenly over their logarithms.
@@ -51,8 +51,10 @@ pub struct Steadiness {
     pub bound: usize,
     /// Views with more.
     pub unsteady: u64,
-    /// The first view that is broken, as it can be asked for.
-    pub first_broken: Option<Broken>,
+    /// Settings whose views broke a bound, and how many did.
+    pub broken_with: BTreeMap<String, u64>,
+    /// The broken view that changed the most, as it can be asked for.
+    pub worst_broken: Option<Broken>,
     pub holds: bool,
 }
 
@@ -60,6 +62,7 @@ pub struct Steadiness {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Broken {
     pub settings: String,
+    pub changed: usize,
     pub eye: [f64; 3],
     pub target: [f64; 3],
     pub up: [f64; 3],
@@ -171,9 +174,14 @@ impl Steadiness {
         self.worst_changed = self.worst_changed.max(changed);
         let is_steady = changed <= self.bound;
         self.unsteady += u64::from(!is_steady);
-        if !(is_finite && is_steady) && self.first_broken.is_none() {
-            self.first_broken = Some(Broken {
+        if is_finite && is_steady {
+            return;
+        }
+        *self.broken_with.entry(row.label.clone()).or_default() += 1;
+        if self.worst_broken.as_ref().is_none_or(|worst| worst.changed < changed) {
+            self.worst_broken = Some(Broken {
                 settings: row.label.clone(),
+                changed,
                 eye: camera.eye.into(),
                 target: camera.target.into(),
                 up: camera.up.into(),

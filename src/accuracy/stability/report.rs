@@ -94,9 +94,11 @@ impl Stability {
         let mut table = Table::new();
         table.load_style(style).set_header(SCENES);
         for found in &self.scenes {
-            let verdict = match &found.first_broken {
-                None => "holds".to_owned(),
-                Some(first) => format!("BROKEN, first with {}", first.settings),
+            let with = |(settings, count): (&String, &u64)| format!("{settings} × {count}");
+            let broken: Vec<String> = found.broken_with.iter().map(with).collect();
+            let verdict = match broken.as_slice() {
+                [] => "holds".to_owned(),
+                broken => format!("BROKEN: {}", broken.join(", ")),
             };
             table.add_row([
                 found.scene.clone(),
