@@ -20,6 +20,7 @@ mod fog;
 mod fuzzy;
 mod golden;
 mod instances;
+mod lens;
 mod lights;
 mod lines;
 mod materials;
