@@ -458,6 +458,28 @@ fn what_is_wrong_is_named() {
 
 /// A video can be resumed like its frames, which are removed when it is finished.
 #[cfg(feature = "video")]
+/// Frames of a moving camera are blurred while the shutter is open; a shutter that never opens changes nothing.
+#[test]
+fn an_open_shutter_blurs_the_frames_of_a_path() {
+    let studio = Studio::new();
+    let drawn = |folder: &str, more: &[&str]| {
+        studio.flown(folder, &[&["--from", "12", "--to", "13"], more].concat());
+        [12, 13].map(|number| {
+            fs::read(studio.at(folder).join(format!("frame-000{number}.png"))).unwrap()
+        })
+    };
+    let sharp = drawn("sharp", &[]);
+    assert_eq!(drawn("closed", &["--shutter", "0", "--blur-samples", "4"]), sharp);
+    let open = drawn("open", &["--shutter", "1", "--blur-samples", "4"]);
+    let half = drawn("half", &["--shutter", "0.5", "--blur-samples", "4"]);
+    for (a, b) in [(&open, &sharp), (&half, &sharp), (&open, &half)] {
+        assert!(a[0] != b[0] && a[1] != b[1]);
+    }
+    // A run that goes on draws the same.
+    fs::remove_file(studio.at("open/frame-00013.png")).unwrap();
+    assert_eq!(drawn("open", &["--shutter", "1", "--blur-samples", "4"]), open);
+}
+
 #[test]
 fn a_path_becomes_a_video() {
     use pointillist::film::video::mp4::Summary;

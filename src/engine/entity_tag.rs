@@ -20,12 +20,12 @@ pub struct Tagged<'a> {
 }
 
 /// Returns a hash of all that decides a frame's bytes, in quotes as HTTP requires. The tag of a provisional frame only distinguishes it
-/// from other frames while it is being drawn; no client receives it.
+/// from other frames while it is being drawn; no client receives it. `views` are the frame's view and those of its exposures.
 pub fn entity_tag(
     loaded: &Loaded,
     request: &FrameRequest,
     Tagged { auto, goal, drawing, is_provisional }: &Tagged<'_>,
-    view: &View,
+    views: &[View],
     adapter: &Adapter,
 ) -> String {
     let mut hasher = Sha256::new();
@@ -59,13 +59,18 @@ pub fn entity_tag(
     hasher.update(loaded.model.revision.to_le_bytes());
     hasher.update(loaded.model.id.as_bytes());
     let mut number = |v: f64| hasher.update((v + 0.0).to_bits().to_le_bytes());
-    view.eye.to_array().into_iter().for_each(&mut number);
-    view.view_from_world.to_cols_array().into_iter().for_each(&mut number);
-    number(view.focus);
-    view.focal_px.to_array().into_iter().for_each(&mut number);
-    view.principal_px.to_array().into_iter().for_each(&mut number);
-    hasher.update(view.width.to_le_bytes());
-    hasher.update(view.height.to_le_bytes());
+    for view in views {
+        view.eye.to_array().into_iter().for_each(&mut number);
+        view.view_from_world.to_cols_array().into_iter().for_each(&mut number);
+        number(view.focus);
+        view.focal_px.to_array().into_iter().for_each(&mut number);
+        view.principal_px.to_array().into_iter().for_each(&mut number);
+    }
+    // They are all of one size.
+    if let Some(view) = views.first() {
+        hasher.update(view.width.to_le_bytes());
+        hasher.update(view.height.to_le_bytes());
+    }
     let digest = hasher.finalize();
     let mut tag = String::with_capacity(34);
     tag.push('"');

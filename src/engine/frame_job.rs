@@ -181,11 +181,16 @@ impl FrameJob {
         let drawing = self.drawing().clone();
         let halvings = self.halvings.load(Ordering::Relaxed);
         let key = (self.frame.model.uid, drawing, halvings, output, width, height);
+        // Exposures of one frame are drawn together, but with those of no other frame.
+        (self.shares_dispatches() && self.frame.exposures.is_empty()).then_some(key)
+    }
+
+    /// Whether the same dispatches can draw several views of the scene with these settings.
+    pub fn shares_dispatches(&self) -> bool {
         // Frames of point trees cannot share their lists of nodes, nor painted ones their lists of splats, and picks read back something
         // else.
         let has_lists = self.frame.model.trees || self.drawing().reconstruction.painted().is_some();
-        let is_plain = !has_lists && self.frame.picks.is_empty();
-        (!self.is_alone() && is_plain).then_some(key)
+        !self.is_alone() && !has_lists && self.frame.picks.is_empty()
     }
 
     /// Counts a redraw because a list was full; false after more redraws than growing lists explain.

@@ -12,6 +12,8 @@ use crate::scene::fields::SceneField;
 #[derive(Clone, Debug, Serialize, utoipa::ToSchema)]
 pub struct Limits {
     pub max_pixels: u64,
+    /// Pixels of all exposures of a frame with depth of field or motion blur.
+    pub max_exposed_pixels: u64,
     pub max_side: u32,
     pub queue_capacity: usize,
     pub max_batch: usize,

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::EngineError;
+use super::exposures::counted;
 use super::frame_job::FrameJob;
 use super::pick;
 use super::renderer::{FlyingGroup, InFlight, Names, Renderer, STATS_BYTES};
@@ -82,25 +83,24 @@ impl FlyingGroup {
     /// Reads a group that has landed.
     fn read(&self) -> Option<LandedGroup> {
         let (size, count) = (self.pixel_bytes as usize, self.jobs.len());
+        let views = count * self.exposures;
         let maps = self.shadows.as_ref().map_or(0, Shadows::stats_bytes);
-        let total = (self.pixel_bytes + STATS_BYTES) * count as u64 + maps;
+        let total = self.pixel_bytes * count as u64 + STATS_BYTES * views as u64 + maps;
         self.landing.read(total, |bytes| {
             let (pixels, stats) = bytes.split_at(size * count);
             let stats: Vec<GpuStats> = stats
                 .chunks_exact(STATS_BYTES as usize)
                 .map(bytemuck::pod_read_unaligned)
                 .collect();
-            let (own, of_maps) = stats.split_at(count);
+            let (own, of_maps) = stats.split_at(views);
+            let own = own.chunks_exact(self.exposures).map(counted);
             let images = self.jobs.iter().zip(pixels.chunks_exact(size)).map(|(job, pixels)| {
                 match job.frame.picks.len() {
                     0 => image(job, pixels),
                     count => pick::image(count, pixels, &self.chunk_ranges),
                 }
             });
-            LandedGroup {
-                frames: images.zip(own.iter().copied()).collect(),
-                maps: of_maps.to_vec(),
-            }
+            LandedGroup { frames: images.zip(own).collect(), maps: of_maps.to_vec() }
         })
     }
 }
@@ -260,11 +260,11 @@ impl Renderer {
             return Room::Made;
         }
         let Some((_, stats)) = frames.first() else { return Room::Enough };
-        self.make_room(group, stats, frames.len())
+        self.make_room(group, stats, group.views)
     }
 
-    /// Grows the lists that were too short for `frames` frames of a group.
-    fn make_room(&mut self, group: &FlyingGroup, stats: &GpuStats, frames: usize) -> Room {
+    /// Grows the lists that were too short for `views` views of a group.
+    fn make_room(&mut self, group: &FlyingGroup, stats: &GpuStats, views: usize) -> Room {
         let too_many = |what, found, limit| {
             Room::None(EngineError::OverLimit {
                 what,
@@ -285,7 +285,7 @@ impl Renderer {
         if longest > group.large_capacity {
             self.scratch.grow_large(&self.gpu, longest);
             let limit = self.scratch.large_capacity();
-            return match frames {
+            return match views {
                 _ if limit >= longest => Room::Made,
                 0 | 1 => too_many("large triangles and splats in view", longest, limit),
                 _ => Room::MadeIfAlone,

@@ -31,6 +31,7 @@ mod encoders;
 mod entity_tag;
 mod error;
 mod estimates;
+mod exposures;
 mod finish;
 mod frame_job;
 mod framing;
@@ -55,6 +56,7 @@ mod renderer;
 mod request;
 mod resolve;
 mod resolved;
+mod sizes;
 mod state;
 mod stats;
 mod ticket;
@@ -162,7 +164,7 @@ impl Engine {
             .map_err(|error| EngineError::Internal(error.to_string()))?;
         match receiver.recv() {
             Ok(Ok(())) => {
-                let (asked, (limit, _)) = (state.config.max_pixels, resolve::frame_limits(&state));
+                let (asked, (limit, _)) = (state.config.max_pixels, sizes::frame_limits(&state));
                 if asked > limit {
                     tracing::warn!(
                         asked,
@@ -535,9 +537,10 @@ impl Engine {
     pub fn limits(&self) -> Limits {
         let config = &self.state().config;
         let adapter = self.state().adapter();
-        let (max_pixels, max_side) = resolve::frame_limits(self.state());
+        let (max_pixels, max_side) = sizes::frame_limits(self.state());
         Limits {
             max_pixels,
+            max_exposed_pixels: sizes::exposures_limit(self.state()),
             max_side,
             queue_capacity: config.queue_capacity,
             max_batch: config.max_batch,

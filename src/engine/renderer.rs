@@ -19,7 +19,7 @@ use crate::gpu::timing::Timer;
 use crate::gpu::{Gpu, GpuError, GpuOptions};
 use crate::math::View;
 use crate::passes::{
-    self, Context, FrameTask, MAP_WEIGHT, MapKey, PassSpan, Pipelines, Scratch, ShadowMaps,
+    self, Context, FrameTask, MAP_WEIGHT, MapKey, PassSpan, Pipelines, Round, Scratch, ShadowMaps,
     Shadows, Uniforms,
 };
 use crate::plan::{Output, Pass};
@@ -60,9 +60,12 @@ pub struct InFlight {
     pub(super) span: tracing::Span,
 }
 
-/// Frames that the same dispatches draw: their pixels one behind the other, then their counters.
+/// Frames that the same dispatches draw, or one frame of several exposures: their pixels one behind the other, then the counters of all views.
 pub(super) struct FlyingGroup {
     pub(super) jobs: Vec<Arc<FrameJob>>,
+    /// Exposures whose mean each frame is, and views that the same dispatches draw.
+    pub(super) exposures: usize,
+    pub(super) views: usize,
     pub(super) landing: Landing,
     /// Bytes of one frame.
     pub(super) pixel_bytes: u64,
@@ -216,35 +219,32 @@ impl Renderer {
             .device
             .create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("batch") });
         let groups = groups(&jobs, |job| job.group_key(), |job| self.most_views(job));
-        let tasks: Vec<FrameTask> = groups
-            .iter()
-            .map(|group| {
-                let task = self.task(group);
-                let shadows = self.shadows(&task, group[0].drawing());
-                FrameTask { shadows, ..task }
-            })
-            .collect();
+        let tasks: Vec<Vec<FrameTask>> = groups.iter().map(|group| self.tasks(group)).collect();
         let mut uniforms = Uniforms::default();
         let mut offsets = Vec::with_capacity(tasks.len());
-        for task in &tasks {
-            let Some(scene) = self.residency.scene(&task.model.id) else {
-                return Err((
-                    jobs,
-                    EngineError::Internal("a scene left the GPU before its frame".into()),
-                ));
-            };
-            self.scratch.reserve(&self.gpu, scene, task);
-            for map in task.shadows.iter().flat_map(Shadows::drawn) {
-                self.scratch.reserve(&self.gpu, scene, map);
+        for tasks in &tasks {
+            let mut own = Vec::with_capacity(tasks.len());
+            for task in tasks {
+                let Some(scene) = self.residency.scene(&task.model.id) else {
+                    return Err((
+                        jobs,
+                        EngineError::Internal("a scene left the GPU before its frame".into()),
+                    ));
+                };
+                self.scratch.reserve(&self.gpu, scene, task);
+                for map in task.shadows.iter().flat_map(Shadows::drawn) {
+                    self.scratch.reserve(&self.gpu, scene, map);
+                }
+                own.push(uniforms.group(task, scene));
             }
-            offsets.push(uniforms.group(task, scene));
+            offsets.push(own);
         }
         uniforms.write(&self.gpu, &mut self.scratch);
         let mut recorded = Vec::with_capacity(tasks.len());
-        for ((task, offset), jobs_of_group) in tasks.iter().zip(&offsets).zip(&groups) {
+        for ((tasks, offsets), jobs_of_group) in tasks.iter().zip(&offsets).zip(&groups) {
             // Groups are never empty, and a pick is a group by itself.
             let picks = &jobs_of_group[0].frame.picks;
-            match self.record_group(&mut encoder, &mut timer, task, offset, picks) {
+            match self.record_group(&mut encoder, &mut timer, tasks, offsets, picks) {
                 Ok(group) => recorded.push(group),
                 Err(error) => return Err((jobs, error)),
             }
@@ -265,20 +265,24 @@ impl Renderer {
             .into_iter()
             .zip(recorded)
             .zip(tasks)
-            .map(|((jobs, (landing, pixel_bytes, spans)), task)| {
+            .map(|((jobs, (landing, pixel_bytes, spans)), mut tasks)| {
                 landing.map();
+                // There is at least one task, and the first one has the most views and draws the shadow maps.
+                let first = tasks.swap_remove(0);
                 let gpu_bytes = jobs.first().map_or(0, |job| job.frame.model.gpu_bytes());
                 let picking = jobs.first().filter(|job| !job.frame.picks.is_empty());
                 let chunk_ranges = picking
                     .map(|job| self.residency.chunk_ranges(&job.frame.model))
                     .unwrap_or_default();
                 FlyingGroup {
+                    exposures: jobs.first().map_or(1, |job| job.frame.exposures.len().max(1)),
+                    views: first.views.len(),
                     jobs,
                     landing,
                     pixel_bytes,
                     chunk_ranges,
                     spans,
-                    shadows: task.shadows,
+                    shadows: first.shadows,
                     large_capacity: self.scratch.large_capacity(),
                     entry_capacity: self.scratch.entry_capacity(),
                     paint_capacity: self.scratch.paint_capacity(),
@@ -307,6 +311,40 @@ impl Renderer {
         room.clamp(1, u64::from(MOST_VIEWS)) as usize
     }
 
+    /// The tasks that draw a group, one after the other: several where its frame is the mean of many exposures.
+    fn tasks(&mut self, jobs: &[Arc<FrameJob>]) -> Vec<FrameTask> {
+        // Groups are never empty.
+        let job = &jobs[0];
+        let task = self.task(jobs);
+        let shadows = self.shadows(&task, job.drawing());
+        let task = FrameTask { shadows, ..task };
+        let exposures = &job.frame.exposures;
+        if exposures.is_empty() {
+            return vec![task];
+        }
+        let at_once = if job.shares_dispatches() { self.most_views(job) } else { 1 };
+        let rounds = exposures.chunks(at_once).enumerate();
+        let rounds = rounds.map(|(number, views)| {
+            let is_first = number == 0;
+            let is_last = number * at_once + views.len() == exposures.len();
+            // The first round draws the maps of all.
+            let shadows = task.shadows.clone().map(|shadows| match is_first {
+                true => shadows,
+                false => Shadows { sources: Vec::new(), ..shadows },
+            });
+            FrameTask {
+                views: views.iter().map(|view| view.finer(task.parts)).collect(),
+                round: Some(Round {
+                    is_first,
+                    exposures: is_last.then_some(exposures.len() as u32),
+                }),
+                shadows,
+                ..task.clone()
+            }
+        });
+        rounds.collect()
+    }
+
     fn task(&self, jobs: &[Arc<FrameJob>]) -> FrameTask {
         // Groups are never empty.
         let first = &jobs[0];
@@ -333,6 +371,7 @@ impl Renderer {
             recolor: drawing.recolor,
             clip: drawing.clip,
             edl: edl.map(|edl| EyeDome { radius_px: edl.radius_px * scale, ..edl }),
+            round: None,
             parts,
             least_line_px: drawing.settings.least_line_px() * scale,
             background: drawing.background(&first.frame.model),
@@ -388,39 +427,51 @@ impl Renderer {
         Some(Shadows { tasks, set, sources })
     }
 
+    /// Records the tasks of a group, and copies its pixels and counters to where the host reads them.
     fn record_group(
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
         timer: &mut Timer,
-        task: &FrameTask,
-        offset: &passes::GroupUniforms,
+        tasks: &[FrameTask],
+        offsets: &[passes::GroupUniforms],
         picks: &[[u32; 2]],
     ) -> Result<(Landing, u64, Vec<PassSpan>), EngineError> {
         let internal = |text: String| EngineError::Internal(text);
+        // There is at least one.
+        let first = &tasks[0];
         let scene = self
             .residency
-            .scene(&task.model.id)
+            .scene(&first.model.id)
             .ok_or_else(|| internal("a scene left the GPU before its frame".into()))?;
-        let mut context = Context {
-            gpu: &self.gpu,
-            pipelines: &self.pipelines,
-            binds: &self.binds,
-            scratch: &mut self.scratch,
-            residency: &self.residency,
-            timer,
-        };
-        let spans = passes::record(&mut context, encoder, task, scene, offset)
-            .map_err(|error| internal(error.to_string()))?;
-        let (width, height) = task.image_size();
+        let (width, height) = first.image_size();
         let pixel_bytes = match picks.len() {
             0 => u64::from(width) * u64::from(height) * 4,
             count => count as u64 * pick::BYTES,
         };
-        let (pixels, stats) =
-            (u64::from(task.count()) * pixel_bytes, u64::from(task.count()) * STATS_BYTES);
-        let shadows = task.shadows.as_ref();
+        // All exposures make one image.
+        let images = if first.round.is_some() { 1 } else { u64::from(first.count()) };
+        let views: u64 = tasks.iter().map(|task| u64::from(task.count())).sum();
+        let (pixels, stats) = (images * pixel_bytes, views * STATS_BYTES);
+        let shadows = first.shadows.as_ref();
         let counted = shadows.map_or(0, Shadows::stats_bytes);
         let landing = self.ring.take(&self.gpu, pixels + stats + counted);
+        let (mut spans, mut behind) = (Vec::new(), pixels);
+        for (task, offset) in tasks.iter().zip(offsets) {
+            let mut context = Context {
+                gpu: &self.gpu,
+                pipelines: &self.pipelines,
+                binds: &self.binds,
+                scratch: &mut self.scratch,
+                residency: &self.residency,
+                timer: &mut *timer,
+            };
+            let recorded = passes::record(&mut context, encoder, task, scene, offset);
+            spans.extend(recorded.map_err(|error| internal(error.to_string()))?);
+            let (counts, length) =
+                (self.scratch.stats.buffer(), u64::from(task.count()) * STATS_BYTES);
+            encoder.copy_buffer_to_buffer(counts.raw(), 0, landing.buffer(), behind, length);
+            behind += length;
+        }
         let scratch = &self.scratch;
         let mut copy = |source: &Buffer, from: u64, start: u64, length: u64| {
             encoder.copy_buffer_to_buffer(source.raw(), from, landing.buffer(), start, length);
@@ -432,10 +483,9 @@ impl Renderer {
             copy(identities, pixel * 8, start + 4, 8);
         }
         if picks.is_empty() {
-            let image = if task.plan.runs(Pass::Average) { identities } else { shown };
-            copy(image, 0, 0, pixels);
+            let has_means = [Pass::Average, Pass::Accumulate].map(|pass| first.plan.runs(pass));
+            copy(if has_means.contains(&true) { identities } else { shown }, 0, 0, pixels);
         }
-        copy(scratch.stats.buffer(), 0, pixels, stats);
         if let Some(shadows) = shadows.filter(|_| counted > 0) {
             copy(&shadows.set.stats, 0, pixels + stats, counted);
         }

@@ -1,5 +1,6 @@
 //! Requests of the engine's callers.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use glam::DVec3;
@@ -31,6 +32,13 @@ impl FrameRequest {
     pub fn with_antialias_decided(self) -> FrameRequest {
         FrameRequest { settings: self.settings.with_antialias_decided(self.output), ..self }
     }
+
+    /// The request with blur decided, which depends on the output and on whether the camera moves.
+    #[must_use]
+    pub fn with_blur_decided(self) -> FrameRequest {
+        let moves = matches!(self.pose, Pose::Moving { .. });
+        FrameRequest { settings: self.settings.with_blur_decided(self.output, moves), ..self }
+    }
 }
 
 /// Camera of a frame.
@@ -39,6 +47,13 @@ pub enum Pose {
     /// A camera named in the scene.
     Named(String),
     Camera(Camera),
+    /// A camera that moves while the shutter is open.
+    Moving {
+        /// The camera at the frame's time.
+        camera: Camera,
+        /// The camera at the time of each exposure; at least one.
+        exposed: Arc<[Camera]>,
+    },
     /// Like [`Pose::Camera`], with the scene's up direction.
     Upright {
         eye: DVec3,

@@ -6,11 +6,13 @@ use std::sync::Arc;
 use super::bake_service::{BakeTicket, Goal};
 use super::choices::{choose_for, grounds, magnification, with_detail};
 use super::entity_tag::{Tagged, entity_tag};
+use super::exposures::{Exposed, exposed};
 use super::loaded::Loaded;
 use super::planner::{self, PlannedFrame};
 use super::queue::cost::CostKey;
 use super::receipt::CameraReceipt;
 use super::resolved::{Drawing, ResolvedFrame};
+use super::sizes::{check_size, drawn_size, frame_limits};
 use super::state::{Adapter, EngineState};
 use super::viewpoint::{clip_region, pose, shown_part};
 use super::{EngineError, FrameRequest};
@@ -36,6 +38,7 @@ struct Checked {
     view: View,
     /// The view of the image that the frame is a part of, or the frame's own: what is chosen for one part is chosen for all.
     whole: View,
+    exposed: Exposed,
     camera: CameraReceipt,
     clip: Option<ClipRegion>,
 }
@@ -93,62 +96,25 @@ impl UnbakedFrame {
     }
 }
 
-/// Most pixels and longest side of a frame on this adapter.
-pub fn frame_limits(state: &EngineState) -> (u64, u32) {
-    let adapter = state.adapter();
-    // The visibility buffer has eight bytes a pixel and is bound whole.
-    (
-        state.config.max_pixels.min(adapter.max_binding_bytes / 8),
-        state.config.max_side.min(adapter.max_side),
-    )
-}
-
-/// Columns and rows of the image whose parts are averaged.
-fn drawn_size(request: &FrameRequest) -> (u32, u32) {
-    let parts = request.settings.parts();
-    (request.width * parts, request.height * parts)
-}
-
-fn check_size(state: &EngineState, request: &FrameRequest) -> Result<(), EngineError> {
-    let (mut max_pixels, mut max_side) = frame_limits(state);
-    let parts = request.settings.parts();
-    max_pixels /= u64::from(parts * parts);
-    max_side /= parts;
-    for (parameter, value) in [("w", request.width), ("h", request.height)] {
-        if value == 0 {
-            return Err(EngineError::BadParameter {
-                parameter,
-                reason: "a frame has at least one pixel".to_owned(),
-                accepted: format!("1 to {max_side}"),
-            });
+/// Checks that settings can be chosen for a goal, where there is one.
+fn check_goal(settings: &Settings) -> Result<(), EngineError> {
+    let (parameter, reason) = match settings {
+        _ if settings.goal().is_none() => return Ok(()),
+        _ if settings.is_part() => {
+            (ImagePart::NAME, "settings would be chosen anew for each part of the image")
         }
-        if value > max_side {
-            return Err(EngineError::OverLimit {
-                what: match (parameter, parts) {
-                    ("w", 1) => "pixels in w",
-                    ("h", 1) => "pixels in h",
-                    ("w", _) => "pixels in w with antialiasing",
-                    _ => "pixels in h with antialiasing",
-                },
-                found: u64::from(value),
-                limit: u64::from(max_side),
-                parameter: Some(parameter),
-            });
+        _ if settings.is_blurred() => {
+            let has_lens = settings.lens_diameter().is_some();
+            let parameter = if has_lens { Settings::LENS } else { Settings::SHUTTER };
+            (parameter, "settings are chosen by measurements of single exposures")
         }
-    }
-    let found = u64::from(request.width) * u64::from(request.height);
-    if found > max_pixels {
-        let what = if parts > 1 {
-            "pixels with antialiasing"
-        } else if found > state.config.max_pixels {
-            "pixels"
-        } else {
-            "pixels that this adapter binds at once, which no setting raises"
-        };
-        let parameter = (parts > 1).then_some("antialias");
-        return Err(EngineError::OverLimit { what, found, limit: max_pixels, parameter });
-    }
-    Ok(())
+        _ => return Ok(()),
+    };
+    Err(EngineError::BadParameter {
+        parameter,
+        reason: reason.to_owned(),
+        accepted: "no value beside `budget_ms` or `min_psnr_db`".to_owned(),
+    })
 }
 
 /// The request with its settings chosen, where it has a goal, and how they were chosen.
@@ -160,13 +126,8 @@ fn prepared(
     loaded: &Loaded,
     request: FrameRequest,
 ) -> Result<(FrameRequest, Option<PlannedFrame>), EngineError> {
-    if request.settings.goal().is_some() && request.settings.is_part() {
-        return Err(EngineError::BadParameter {
-            parameter: ImagePart::NAME,
-            reason: "settings would be chosen anew for each part of the image".to_owned(),
-            accepted: "no value beside `budget_ms` or `min_psnr_db`".to_owned(),
-        });
-    }
+    let request = request.with_blur_decided();
+    check_goal(&request.settings)?;
     let (request, planned) = if request.settings.goal().is_some() {
         let view = view_of(state, loaded, &request)?;
         planner::planned(state, loaded, request, &[view], |one| check_size(state, one).is_ok())
@@ -197,6 +158,7 @@ pub fn settings_for_all(
     let Some(first) = requests.first().filter(|first| first.settings.goal().is_some()) else {
         return Ok(None);
     };
+    check_goal(&first.clone().with_blur_decided().settings)?;
     let loaded = state.loaded(&first.scene)?;
     let views: Vec<View> = requests
         .iter()
@@ -237,7 +199,8 @@ fn check(
     check_field(loaded, &request.settings)?;
     let (whole, camera) = pose(loaded, request, clip.as_ref())?;
     let view = shown_part(&whole, request)?;
-    Ok(Checked { view, whole, camera, clip })
+    let exposed = exposed(loaded, request, &whole)?;
+    Ok(Checked { view, whole, exposed, camera, clip })
 }
 
 /// Checks that the scene has the scalar field that colours samples.
@@ -396,12 +359,14 @@ fn decide(
     loaded: &Arc<Loaded>,
     request: FrameRequest,
     (full_because, planned): (Option<String>, Option<PlannedFrame>),
-    Checked { view, whole, camera, clip }: Checked,
+    Checked { view, whole, exposed, camera, clip }: Checked,
     (model, facts): (Arc<SceneModel>, SceneFacts),
 ) -> ResolvedFrame {
     let adapter = state.adapter();
     let Chosen { settings, auto, provisional } =
         choose_reconstruction(state, loaded, &request, &facts, &whole);
+    let settings = exposed.focus.map_or(settings, |focus| settings.focused_at(focus));
+    let seen: Vec<View> = [whole].into_iter().chain(exposed.whole).collect();
     // Disks reach beyond their samples.
     let bounds =
         loaded.extent.bounds.grown(f64::from(loaded.model.splats.cutoff) * loaded.extent.kernel);
@@ -419,7 +384,7 @@ fn decide(
         let facts = (&facts, &adapter);
         let drawing = Drawing::new(settings, reconstruction, facts, request.output, recolor, clip);
         let lit = (&loaded.model.lights[..], &loaded.model.splats, &bounds);
-        let drawing = drawing.with_shadows(lit, &whole, facts);
+        let drawing = drawing.with_shadows(lit, &seen, facts);
         Drawing { instead_because, ..drawing }
     };
     let reconstruction = Reconstruction::new(&settings, &loaded.model.splats);
@@ -434,7 +399,8 @@ fn decide(
         let accepted_px = if facts.trees { settings.accepted_px() } else { 0.0 };
         let parts = request.settings.parts();
         let accepted_px = accepted_px * parts as f32;
-        Slabs::new(splats, &loaded.extent, &whole.finer(parts), accepted_px).fit()
+        seen.iter()
+            .all(|view| Slabs::new(splats, &loaded.extent, &view.finer(parts), accepted_px).fit())
     };
     let refused = blended.and_then(|_| no_blending(&request, &adapter)).or_else(|| {
         let too_deep = "the scene is too deep for the slabs of a single pass";
@@ -467,12 +433,14 @@ fn decide(
         drawing: &drawing,
         is_provisional: provisional.is_some(),
     };
-    let key = entity_tag(loaded, &request, &tagged, &view, &adapter);
+    let views: Vec<View> = [view].into_iter().chain(exposed.views.iter().copied()).collect();
+    let key = entity_tag(loaded, &request, &tagged, &views, &adapter);
     let cost_key = cost_key(&request, &settings);
     ResolvedFrame {
         request,
         model,
         view,
+        exposures: exposed.views,
         camera,
         extent: loaded.extent,
         drawing,
@@ -495,7 +463,8 @@ fn cost_key(request: &FrameRequest, settings: &Settings) -> CostKey {
     request.scene.hash(&mut hasher);
     (request.output as u8, settings.kind_of_cost()).hash(&mut hasher);
     let (width, height) = drawn_size(request);
-    CostKey { kind: hasher.finish(), pixels: u64::from(width) * u64::from(height) }
+    let exposures = u64::from(request.settings.exposures());
+    CostKey { kind: hasher.finish(), pixels: u64::from(width) * u64::from(height) * exposures }
 }
 
 /// Returns what a bake has to make before a frame whose level of detail is decided can be drawn; `None` if nothing is missing.

@@ -32,7 +32,10 @@ pub struct ResolvedFrame {
     pub request: FrameRequest,
     pub(super) scene: Arc<Loaded>,
     pub(super) model: Arc<SceneModel>,
+    /// The view of the frame, and of its outputs other than blurred colours.
     pub(super) view: View,
+    /// Views of the exposures whose mean the frame is; none for a single exposure.
+    pub(super) exposures: Arc<[View]>,
     pub(super) camera: CameraReceipt,
     pub(super) extent: Extent,
     pub(super) drawing: Drawing,
@@ -125,6 +128,7 @@ impl Drawing {
         // Without samples it has no effect how they are drawn, but the other frames of a film draw them likewise.
         let settings = Settings::from(applied).drawn_like(&settled);
         let (edl, is_averaged) = (settings.eye_dome(), settings.parts() > 1);
+        let is_exposed = settings.is_blurred();
         let frame = FrameFacts {
             output,
             reconstruction,
@@ -135,6 +139,7 @@ impl Drawing {
             fog: settings.fog,
             occlusion: settings.ao,
             is_averaged,
+            is_exposed,
         };
         Drawing {
             applied,
@@ -148,19 +153,19 @@ impl Drawing {
         }
     }
 
-    /// The drawing with its shadow maps, where the plan has any: `lights` and `splats` are those of the scene, `bounds` hold all of it, and `view` is the
-    /// frame's.
+    /// The drawing with its shadow maps, where the plan has any: `lights` and `splats` are those of the scene, `bounds` hold all of it, and `seen` are the views of
+    /// the frame and its exposures, or of the image that they are parts of.
     #[must_use]
     pub fn with_shadows(
         self,
         (lights, splats, bounds): (&[Light], &Splats, &Bounds),
-        view: &View,
+        seen: &[View],
         (scene, adapter): (&SceneFacts, &AdapterFacts),
     ) -> Drawing {
         if !self.plan.runs(Pass::ShadowMap) {
             return self;
         }
-        let views = light_views(lights, bounds, view, self.settings.shadow_px.get());
+        let views = light_views(lights, bounds, seen, self.settings.shadow_px.get());
         // Suns see closed surfaces, whatever the frame draws samples as.
         let reconstruction = Reconstruction::new(&Settings::exact(), splats);
         let frame = FrameFacts {

@@ -105,7 +105,7 @@ pub fn pose(
             }
             return Ok((*view, receipt_of_view(view)));
         }
-        Pose::Camera(camera) => *camera,
+        Pose::Camera(camera) | Pose::Moving { camera, .. } => *camera,
         &Pose::Upright { eye, target, lens } => Camera { eye, target, up: loaded.up(), lens },
         &Pose::Fit { up, lens } => loaded
             .fit(f64::from(width) / f64::from(height), up, lens, request.settings.projection, clip)
@@ -127,12 +127,21 @@ pub fn pose(
             })?
         }
     };
+    let (view, camera) = view_of(&camera, request)?;
+    Ok((view, receipt_of_camera(&camera, width, height)))
+}
+
+/// The view of a camera for the whole image of a frame, and the camera in the projection that the request asks for.
+///
+/// # Errors
+/// A camera that cannot be drawn.
+pub fn view_of(camera: &Camera, request: &FrameRequest) -> Result<(View, Camera), EngineError> {
+    let (width, height) = whole_size(request);
     // A camera that cannot be drawn has no other projection either.
     camera.view(width, height).map_err(bad_camera)?;
     let camera =
-        request.settings.projection.map_or(camera, |wanted| camera.with_projection(wanted));
-    let view = camera.view(width, height).map_err(bad_camera)?;
-    Ok((view, receipt_of_camera(&camera, width, height)))
+        request.settings.projection.map_or(*camera, |wanted| camera.with_projection(wanted));
+    Ok((camera.view(width, height).map_err(bad_camera)?, camera))
 }
 
 /// A view made elsewhere: it must be for this size, and of numbers that can be drawn with.

@@ -77,7 +77,14 @@ pub fn unbaked(engine: &Engine, request: &FrameRequest, shots: &Shots) -> Option
 }
 
 fn at_shot(request: &FrameRequest, shots: &Shots, number: u64) -> FrameRequest {
-    let pose = Pose::Camera(shots.shot(number).camera);
+    let camera = shots.shot(number).camera;
+    let pose = match request.settings.open_share() {
+        Some(share) => {
+            let exposed = shots.while_open(number, share, request.settings.exposures());
+            Pose::Moving { camera, exposed: exposed.into() }
+        }
+        None => Pose::Camera(camera),
+    };
     FrameRequest { pose, deadline: None, ..request.clone() }
 }
 

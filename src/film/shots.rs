@@ -86,6 +86,11 @@ impl Shots {
         self.wanted.clone()
     }
 
+    /// The cameras of frame `number` at `count` times while the shutter is open, for a share of the time between two frames.
+    pub fn while_open(&self, number: u64, open_share: f64, count: u32) -> Vec<Camera> {
+        self.sampler.while_open(self.shot(number).t, open_share / self.fps, count)
+    }
+
     /// Frame `number`: the camera `number / fps` seconds after the path's first key.
     pub fn shot(&self, number: u64) -> Shot {
         let t = self.start_s + number as f64 / self.fps;

@@ -30,7 +30,7 @@ use crate::encode::{FrameImage, ImageFormat, encode};
 use crate::engine::{
     EncodedFrame, EngineError, FrameRequest, Origin, Receipt, RequestId, ResolvedFrame,
 };
-use crate::plan::{Given, Output};
+use crate::plan::{Given, Output, Settings};
 
 /// Largest body in bytes.
 const MAX_BODY_BYTES: u64 = 1 << 20;
@@ -249,6 +249,12 @@ impl Asked {
     fn finer(&self, app: &App) -> Result<Option<Finer>, Problem> {
         if self.b.is_some() {
             return Ok(None);
+        }
+        let a = Settings::from(self.a.settings).with_blur_decided(Output::Color, false);
+        if a.is_blurred() {
+            let reason = "the reference is a single exposure, in which everything is sharp";
+            let name = format!("a.{}", Settings::LENS);
+            return Err(Problem::parameter(name, reason, "0, or `b` in place of `against`"));
         }
         let limits = app.engine.limits();
         let finer = Finer::new(self.size, &limits).ok_or_else(|| {

@@ -3,6 +3,7 @@
 mod bounds;
 mod camera;
 pub mod framing;
+mod lens;
 pub mod spline;
 mod tube;
 
@@ -11,4 +12,5 @@ pub use camera::{
     Camera, CameraError, FARTHEST, FOV_RANGE_DEG, Lens, ORTHO_HEIGHT_RANGE, Projection, Sensor,
     SensorView, View,
 };
+pub use lens::{Exposure, MOST_EXPOSURES, exposures};
 pub use tube::{Entry, Tube};

@@ -82,6 +82,7 @@ impl<'a> Names<'a> {
             "normals" => scratch.normals.buffer(),
             "mapped" => scratch.mapped.buffer(),
             "openness" => scratch.openness.buffer(),
+            "exposed" => scratch.exposed.buffer(),
             "stats" => scratch.stats.buffer(),
             "placed" => scratch.placed.buffer(),
             "seen" => scratch.seen.buffer(),

@@ -54,6 +54,8 @@ pub struct FrameTask {
     pub clip: Option<ClipRegion>,
     /// Eye-dome lighting, where it is on.
     pub edl: Option<EyeDome>,
+    /// Which exposures of a frame the views are, where a frame is the mean of several.
+    pub round: Option<Round>,
     /// Parts along each side of a pixel that are averaged. Views, and all lengths in pixels, are those of the parts.
     pub parts: u32,
     /// Least width of lines, in pixels.
@@ -82,6 +84,14 @@ pub struct FrameTask {
     pub shadows: Option<Shadows>,
     /// Translucent surfaces are left out: they hide no sun.
     pub opaque_only: bool,
+}
+
+/// The place of a task among those that draw the exposures of one frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Round {
+    pub is_first: bool,
+    /// Number of exposures of the frame; given in the last round.
+    pub exposures: Option<u32>,
 }
 
 /// Beyond it a few triangles would take all the rounds of loops that lavapipe lets a thread have: 65535.

@@ -31,13 +31,13 @@ mod spread;
 mod uniforms;
 mod windows;
 
-pub use frame::{FrameTask, frame_record, srgb8};
+pub use frame::{FrameTask, Round, frame_record, srgb8};
 pub use levels::Levels;
 pub use pipelines::{Pipelines, Variant, common, read_variants, write_variants};
 pub use prime::Prime;
 pub use record::record;
 pub use recorder::{Context, PassSpan};
-pub use scratch::{PAINTED_BYTES, PATCH_BYTES, SLABS_BYTES, Scratch};
+pub use scratch::{EXPOSED_BYTES, PAINTED_BYTES, PATCH_BYTES, SLABS_BYTES, Scratch};
 pub use shadow::{MAP_WEIGHT, MapKey, ShadowMaps, Shadows, Source};
 pub use slabs::Slabs;
 pub use uniforms::{GroupUniforms, Uniforms};

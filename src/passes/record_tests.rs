@@ -4,6 +4,7 @@ use naga::{Expression, Handle, Literal, Module};
 
 use crate::bake::pack::{BEGINS, CHUNK, ENDS, GeometryKind, LINE_WORDS, NO_NORMAL, VERTEX_WORDS};
 use crate::gpu::shader::parse;
+use crate::math::MOST_EXPOSURES;
 use crate::passes::frame::output_number;
 use crate::passes::project::LANES;
 use crate::passes::recorder::DISPATCH_ROW;
@@ -249,4 +250,13 @@ fn as_many_layers_are_kept_as_are_resolved() {
     let sinks = source("shared/sinks").unwrap();
     assert_eq!(sinks.matches("rest = sink(").count() as u32, LAYERS);
     assert!(sinks.contains(&format!("sink({}u, pixel", LAYERS - 1)));
+}
+
+/// White in every part of every exposure.
+#[test]
+fn sums_of_exposures_fit_their_words() {
+    let one = f64::from(float(&module("resolve/accumulate"), "ONE"));
+    let parts = u32::pow(4, 2);
+    assert!(one * f64::from(MOST_EXPOSURES * parts) <= f64::from(u32::MAX), "{one}");
+    assert!(2.0 * one * f64::from(MOST_EXPOSURES * parts) > f64::from(u32::MAX), "{one}");
 }

@@ -26,6 +26,8 @@ pub struct Scratch {
     pub mapped: buffer::Scratch,
     /// How open the surroundings of each pixel are, for ambient light.
     pub openness: buffer::Scratch,
+    /// Sums of the exposures of a frame: four words for each pixel of its image; see `resolve/accumulate`.
+    pub exposed: buffer::Scratch,
     /// Sums of blended splats: two words of 32 bits for each pixel in each buffer.
     pub sums: [buffer::Scratch; 4],
     /// Words of splats that are blended in a single pass; see `shared/slabs`.
@@ -94,6 +96,9 @@ const MOST_BACKGROUNDS: usize = 32;
 /// Bytes that each pixel takes where splats are blended in a single pass: two words.
 pub const SLABS_BYTES: u64 = 16;
 
+/// Bytes that each pixel of a frame of several exposures takes for their sums.
+pub const EXPOSED_BYTES: u64 = 16;
+
 /// Bytes of a patch in each buffer of pull-push.
 pub const PATCH_BYTES: u64 = 8;
 
@@ -148,6 +153,7 @@ impl Scratch {
             normals: make("normals"),
             mapped: make("mapped"),
             openness: make("openness"),
+            exposed: make("exposed"),
             sums: ["sums_0", "sums_1", "sums_2", "sums_3"].map(make),
             layers: make("layers"),
             paint_list: make("paint_list"),
@@ -236,6 +242,10 @@ impl Scratch {
         }
         if task.plan.runs(Pass::AmbientOcclusion) {
             self.openness.reserve(gpu, pixels * 4);
+        }
+        if task.plan.runs(Pass::Accumulate) {
+            let (width, height) = task.image_size();
+            self.exposed.reserve(gpu, u64::from(width) * u64::from(height) * EXPOSED_BYTES);
         }
         for sums in &mut self.sums[..task.sums()] {
             sums.reserve(gpu, pixels * 8);

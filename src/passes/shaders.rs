@@ -84,6 +84,7 @@ fragments![
     "shared/line_walk",
     "shared/octahedral",
     "shared/colour",
+    "shared/mean",
     "shared/material",
     "shared/texture",
     "shared/barycentric",

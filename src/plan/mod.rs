@@ -15,8 +15,8 @@ use serde::Serialize;
 
 pub use reconstruction::Reconstruction;
 pub use settings::{
-    Antialias, Background, Choice, ColorBound, ColorBy, Edl, EdlRadius, EdlStrength, Effect,
-    ErrorMode, Extent, Given, ImagePart, LineWidth, Lod, MOST_WHOLE_PX, MaxError, Output,
+    Antialias, Background, BlurSamples, Choice, ColorBound, ColorBy, Edl, EdlRadius, EdlStrength,
+    Effect, ErrorMode, Extent, Given, ImagePart, LineWidth, Lod, MOST_WHOLE_PX, MaxError, Output,
     PointSize, PointSizePx, Reconstruct, Rule, Setting, SettingError, SettingKind, Settings,
     ShadowPx, Shadows, StillFrame, Trade, TradeOff, UsedSettings, UsedSplats, Wait, declared,
     trade_offs,
@@ -166,6 +166,8 @@ pub struct FrameFacts {
     pub occlusion: Effect,
     /// Pixels are means of their parts.
     pub is_averaged: bool,
+    /// The frame is the mean of several exposures.
+    pub is_exposed: bool,
 }
 
 /// One line of a plan.

@@ -15,6 +15,8 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
+mod blur;
+mod cost;
 mod declaration;
 mod effects;
 mod finer;
@@ -28,13 +30,14 @@ mod used;
 mod values;
 
 pub use crate::scene::name::Name;
+pub use blur::BlurSamples;
 use declaration::Accepted;
 pub use declaration::{Choice, Rule, Setting, SettingError, SettingKind};
 pub use effects::Effect;
 pub use goal::Pinned;
 pub use numbers::{
-    Budget, ColorBound, EdlRadius, EdlStrength, Exposure, LineWidth, MaxError, MinPsnr, PointSize,
-    PointSizePx,
+    Aperture, Budget, ColorBound, EdlRadius, EdlStrength, Exposure, FocusDistance, LineWidth,
+    MaxError, MinPsnr, PointSize, PointSizePx, Shutter,
 };
 pub use part::{ImagePart, MOST_WHOLE_PX};
 pub use shadows::{ShadowPx, Shadows};
@@ -96,6 +99,10 @@ const LIT: Rule = Rule::new("lights", &["some"], "");
 const OCCLUDED: Rule = Rule::new("scene_occlusion", &["some"], "");
 const SURROUNDED: Rule = Rule::new("scene_environment", &["some"], "");
 const FOGGY: Rule = Rule::new("scene_fog", &["some"], "");
+/// An aperture or an open shutter.
+const BLURRED: Rule = Rule::new("blur", &["some"], "");
+const APERTURE: Rule =
+    Rule::new("aperture", &[], "the aperture is 0, so that everything is sharp at every distance");
 const EDL: Rule = Rule::new("edl", &["on", "auto"], "eye-dome lighting is off");
 const SURELY_SPLATS: Rule = Rule::new("reconstruct", &["splats", "fuzzy", "painted"], "");
 const THREE_PASSES: Rule = Rule::new("reconstruct", &["splats"], "");
@@ -346,6 +353,25 @@ settings! {
     antialias: Antialias => Antialias {
         label: "Antialiasing", kind: SettingKind::own::<Antialias>(), needs: [], useful_with: [COLORS], trades: Trade::large_variant()
     }
+    /// Diameter of the camera's lens in scene units, for depth of field; 0 is a pinhole, which shows everything sharp. A camera with parallel rays
+    /// has no lens.
+    aperture: f64 => Aperture {
+        label: "Aperture", kind: Aperture::kind(), needs: [], useful_with: [COLORS]
+    }
+    /// Distance along the viewing axis at which things are sharp, in scene units; by default that of the camera's target.
+    focus_distance: f64 => FocusDistance {
+        label: "Focus distance", kind: FocusDistance::kind(), needs: [APERTURE], useful_with: [COLORS]
+    }
+    /// Share of the time between two frames of a camera path for which the shutter is open, for motion blur: 0.5 is a shutter of 180 degrees. The time of
+    /// the frame is its middle. A frame that belongs to no path shows an instant.
+    shutter: f64 => Shutter {
+        label: "Shutter", kind: Shutter::kind(), needs: [], useful_with: [COLORS]
+    }
+    /// Number of exposures whose mean a frame with an aperture or an open shutter is, each from another point of the lens, at another time and through
+    /// other points of the pixels.
+    blur_samples: BlurSamples => BlurSamples {
+        label: "Exposures", kind: SettingKind::own::<BlurSamples>(), needs: [], useful_with: [COLORS, BLURRED]
+    }
     /// Colour of pixels that show nothing; the scene's value by default. JPEG and video cannot store transparency and show black.
     background: Background => Option<Background> {
         label: "Background", kind: Background::kind(), needs: [], useful_with: [COLORS]
@@ -558,6 +584,7 @@ impl Settings {
         known.insert("scene_occlusion".to_owned(), some(scene.occlusion.into()).into());
         known.insert("scene_environment".to_owned(), some(scene.environment.into()).into());
         known.insert("scene_fog".to_owned(), some(scene.fog.into()).into());
+        known.insert("blur".to_owned(), some(self.is_blurred().into()).into());
         known.insert("output".to_owned(), serde_json::json!(output));
         let is_open = |rule: &Rule| known.get(rule.of).is_none_or(Value::is_null);
         kept(&known, &self.open(), |setting| {
@@ -565,20 +592,6 @@ impl Settings {
             let mut rules = setting.useful_with.iter().filter(|rule| rule.value.is_none());
             rules.all(|rule| is_open(rule) || rule.holds(&known))
         })
-    }
-
-    /// Bytes that are equal for frames that cost about the same: the canonical form with numbers rounded to powers of two, and without
-    /// lists of numbers.
-    pub fn kind_of_cost(&self) -> Vec<u8> {
-        let rounded = |(name, value): (&String, &Value)| match value {
-            Value::Number(number) => {
-                let octave = number.as_f64().map_or(0, |value| value.abs().log2().round() as i64);
-                format!("{name}={octave};")
-            }
-            Value::Array(_) => format!("{name};"),
-            other => format!("{name}={other};"),
-        };
-        words(&self.applied()).iter().flat_map(|word| rounded(word).into_bytes()).collect()
     }
 }
 

@@ -14,28 +14,33 @@ const SIZES: f64 = 4.0;
 const DEEPER: f64 = 5.0;
 
 /// Views of the maps of all suns that cast shadows, in the order of the lights; a sun's maps follow each other, that of the nearest part of the
-/// view first. Every sun has as many maps. What `view` may show of a scene within `bounds` is covered, and depths are positive for everything in the scene.
+/// view first. Every sun has as many maps. What any of `views` may show of a scene within `bounds` is covered, and depths are positive for everything in the scene.
 ///
 /// A sun's maps have at most `side` × `side` pixels in all. Sizes and places are rounded, so that frames from neighbouring poses share
 /// maps, and their pixels do not crawl along the edges of shadows.
-pub fn light_views(lights: &[Light], bounds: &Bounds, view: &View, side: u32) -> Vec<View> {
+pub fn light_views(lights: &[Light], bounds: &Bounds, views: &[View], side: u32) -> Vec<View> {
     let casting = lights.iter().filter_map(Light::casting);
     let suns: Vec<DVec3> = casting.map(|(direction, _)| direction).collect();
-    let ranges = depth_ranges(bounds, view, MOST_CASTING_LIGHTS / suns.len().max(1));
+    let ranges = depth_ranges(bounds, views, MOST_CASTING_LIGHTS / suns.len().max(1));
     let side = if ranges.len() == 1 { side } else { side / 2 };
     let maps = |&sun: &DVec3| {
-        let parts = ranges.iter().map(|&range| visible_corners(view, range));
+        let parts = ranges.iter().map(|&range| {
+            views.iter().flat_map(|view| visible_corners(view, range)).collect::<Vec<_>>()
+        });
         parts.map(move |part| light_view(sun, bounds, &part, side)).collect::<Vec<_>>()
     };
     suns.iter().flat_map(maps).collect()
 }
 
 /// Ranges of depths of at most `most` maps, the nearest first.
-fn depth_ranges(bounds: &Bounds, view: &View, most: usize) -> Vec<[f64; 2]> {
-    let depths = bounds.corners().map(|corner| -view.to_view(corner).z);
-    let far = depths.into_iter().fold(0.0, f64::max);
-    let near = depths.into_iter().fold(far, f64::min).max(0.0);
-    if view.is_orthographic() || near == far {
+fn depth_ranges(bounds: &Bounds, views: &[View], most: usize) -> Vec<[f64; 2]> {
+    let depths = || {
+        let of = |view: &View| bounds.corners().map(|corner| -view.to_view(corner).z);
+        views.iter().flat_map(of)
+    };
+    let far = depths().fold(0.0, f64::max);
+    let near = depths().fold(far, f64::min).max(0.0);
+    if views.iter().any(View::is_orthographic) || near == far {
         return vec![[near, far]];
     }
     let times = (far / near).log(DEEPER).round().min(most.max(1) as f64 - 1.0) as i32;
@@ -43,12 +48,12 @@ fn depth_ranges(bounds: &Bounds, view: &View, most: usize) -> Vec<[f64; 2]> {
     (0..=times).map(|map| [if map == 0 { near } else { end(map - 1) }, end(map)]).collect()
 }
 
-fn light_view(direction: DVec3, bounds: &Bounds, part: &[DVec3; 8], side: u32) -> View {
+fn light_view(direction: DVec3, bounds: &Bounds, part: &[DVec3], side: u32) -> View {
     let right = direction.any_orthonormal_vector();
     let view_from_world = DMat3::from_cols(right, right.cross(direction), -direction).transpose();
     let in_light =
-        |places: [DVec3; 8]| Bounds::of(places.into_iter().map(|place| view_from_world * place));
-    let (scene, seen) = (in_light(bounds.corners()), in_light(*part));
+        |places: &[DVec3]| Bounds::of(places.iter().map(|&place| view_from_world * place));
+    let (scene, seen) = (in_light(&bounds.corners()), in_light(part));
     let (mut low, mut high) = (scene.min.truncate(), scene.max.truncate());
     let (near, far) = (seen.min.truncate().max(low), seen.max.truncate().min(high));
     // Nothing of the scene may be in view.
@@ -125,7 +130,7 @@ mod tests {
             let offset = DVec3::splat(offset);
             let bounds = Bounds { min: offset - 1.0, max: offset + 1.0 };
             let view = camera(3.0 * eye + offset, target + offset, fov);
-            let maps = light_views(&[sun(way)], &bounds, &view, 512);
+            let maps = light_views(&[sun(way)], &bounds, &[view], 512);
             prop_assert!((1..=4).contains(&maps.len()));
             let pixels: u32 = maps.iter().map(|map| map.width * map.height).sum();
             prop_assert!(pixels <= 512 * 512);
@@ -151,8 +156,9 @@ mod tests {
         let near = |x: f64| camera(DVec3::new(x, 0.0, 101.0), DVec3::new(x, 0.0, 0.0), 1.0);
         let lights = [sun(DVec3::NEG_Z), Light::Ambient { color: [1.0; 3] }];
         let wide =
-            light_views(&lights, &bounds, &camera(DVec3::Z * 500.0, DVec3::ZERO, 60.0), 1024);
-        let [first, second] = [0.3, 0.300_1].map(|x| light_views(&lights, &bounds, &near(x), 1024));
+            light_views(&lights, &bounds, &[camera(DVec3::Z * 500.0, DVec3::ZERO, 60.0)], 1024);
+        let [first, second] =
+            [0.3, 0.300_1].map(|x| light_views(&lights, &bounds, &[near(x)], 1024));
         assert_eq!(wide.len(), 1);
         assert!(first[0].focal_px.x > 20.0 * wide[0].focal_px.x);
         assert_eq!(first, second);
@@ -163,26 +169,52 @@ mod tests {
         let bounds =
             Bounds { min: DVec3::new(-150.0, 0.0, -150.0), max: DVec3::new(150.0, 9.0, 150.0) };
         let within = camera(DVec3::new(0.0, 1.7, 0.0), DVec3::new(0.0, 1.6, -9.0), 50.0);
-        let maps = light_views(&[sun(DVec3::new(-0.5, -1.0, -0.7))], &bounds, &within, 2048);
+        let maps = light_views(&[sun(DVec3::new(-0.5, -1.0, -0.7))], &bounds, &[within], 2048);
         assert_eq!(maps.iter().map(|map| map.width).collect::<Vec<_>>(), [1024; 4]);
         assert!(maps.windows(2).all(|pair| pair[0].focal_px.x > 3.0 * pair[1].focal_px.x));
         // A step forward.
         let ahead = camera(DVec3::new(0.0, 1.7, -0.8), DVec3::new(0.0, 1.6, -9.8), 50.0);
-        let next = light_views(&[sun(DVec3::new(-0.5, -1.0, -0.7))], &bounds, &ahead, 2048);
+        let next = light_views(&[sun(DVec3::new(-0.5, -1.0, -0.7))], &bounds, &[ahead], 2048);
         let stays: Vec<bool> = maps.iter().zip(&next).map(|(a, b)| a == b).collect();
         assert!(!stays[0] && stays[3], "{stays:?}");
         let suns = [sun(DVec3::NEG_Y), sun(DVec3::new(1.0, -1.0, 0.0)), sun(DVec3::NEG_X)];
-        assert_eq!(light_views(&suns, &bounds, &within, 2048).len(), 3);
-        assert_eq!(light_views(&suns[..2], &bounds, &within, 2048).len(), 4);
+        assert_eq!(light_views(&suns, &bounds, &[within], 2048).len(), 3);
+        assert_eq!(light_views(&suns[..2], &bounds, &[within], 2048).len(), 4);
         let outside = camera(DVec3::new(0.0, 600.0, 0.1), DVec3::ZERO, 50.0);
-        assert_eq!(light_views(&suns[..1], &bounds, &outside, 2048).len(), 1);
+        assert_eq!(light_views(&suns[..1], &bounds, &[outside], 2048).len(), 1);
+    }
+
+    /// Exposures from several places are drawn with the same maps.
+    #[test]
+    fn maps_cover_what_each_of_several_views_shows() {
+        let bounds = Bounds { min: DVec3::splat(-100.0), max: DVec3::splat(100.0) };
+        let view = |x: f64| camera(DVec3::new(x, 0.0, 30.0), DVec3::new(x, 0.0, 0.0), 20.0);
+        let sun = [sun(DVec3::new(0.0, -1.0, -1.0))];
+        let views = [view(0.0), view(40.0), view(-30.0)];
+        let maps = light_views(&sun, &bounds, &views, 1024);
+        let covers = |world: DVec3| {
+            maps.iter().any(|map| {
+                let pixel = map.project(map.to_view(world)).unwrap();
+                let last = f64::from(map.width);
+                pixel.cmpge(DVec2::ZERO).all() && pixel.cmple(DVec2::splat(last)).all()
+            })
+        };
+        for view in views {
+            for pixel in [[0.0, 0.0], [640.0, 0.0], [320.0, 240.0], [640.0, 480.0]] {
+                for depth in [1.0, 30.0, 120.0] {
+                    let place = view.at_depth(view.ray(pixel.into()), depth);
+                    let world = view.view_from_world.transpose() * place + view.eye;
+                    assert!(covers(world), "{world}");
+                }
+            }
+        }
     }
 
     #[test]
     fn a_scene_behind_the_eye_or_of_one_place_has_a_map() {
         let point = Bounds { min: DVec3::ONE, max: DVec3::ONE };
         let away = camera(DVec3::splat(9.0), DVec3::splat(10.0), 40.0);
-        let views = light_views(&[sun(DVec3::new(0.0, -1.0, 0.2))], &point, &away, 512);
+        let views = light_views(&[sun(DVec3::new(0.0, -1.0, 0.2))], &point, &[away], 512);
         assert!(!views.is_empty());
         for view in views {
             assert!(view.focal_px.is_finite() && view.focal_px.x > 0.0 && view.eye.is_finite());

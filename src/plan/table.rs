@@ -87,7 +87,8 @@ macro_rules! pass_table {
             WalkTrianglesLayersId       Compute project/walk_triangles      "_layers_id" [LayerIds] Triangles [OPAQUE_SCENE NOT_COLOR WIDE_SUMS RASTERISES];
             ResolveTrianglesLayers      Compute resolve/resolve_triangles   "_layers"    [Composite] Frame    [OPAQUE_SCENE NOT_COLOR];
             CompositeLayers             Compute resolve/composite_layers    ""           [Composite] Frame    [OPAQUE_SCENE NOT_COLOR];
-            Average              Compute resolve/average               ""    [Finish]            Frame     [NOT_AVERAGED];
+            Average              Compute resolve/average               ""    [Finish]            Frame     [NOT_AVERAGED EXPOSED];
+            Accumulate           Compute resolve/accumulate            ""    [Finish]            Frame     [NOT_COLOR NOT_EXPOSED];
             Identify             Compute resolve/identify              ""    [Finish]            Frame     [NOT_PICKED];
         }
     };
@@ -250,6 +251,9 @@ reasons! {
     WITHOUT_FOG: "fog is off", |f| f.frame.fog == super::Effect::Off;
     EVEN_FOG: "the fog is as dense at every height", |f| !f.scene.layered_fog;
     NOT_AVERAGED: "pixels have one part", |f| !f.frame.is_averaged;
+    EXPOSED: "the parts of pixels are averaged with the exposures", |f| f.frame.is_exposed;
+    NOT_EXPOSED: "the frame is a single exposure: it has no aperture, and no path moves its camera while a shutter is open",
+        |f| !f.frame.is_exposed;
     OPAQUE_SCENE: "the scene has no translucent triangles", |f| !f.scene.translucent;
     IDS: "the output is id", |f| f.frame.output == super::Output::Id;
     // `FramePlan::with_identities` makes it run.

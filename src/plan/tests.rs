@@ -204,6 +204,22 @@ fn effects_that_look_at_neighbours_write_the_output_last() {
 }
 
 #[test]
+fn exposures_are_averaged_with_their_parts() {
+    let facts = SceneFacts { counts: SAMPLES, ..Default::default() };
+    for (is_averaged, is_exposed, output, expected) in [
+        (false, false, Output::Color, [false, false]),
+        (true, false, Output::Color, [true, false]),
+        (false, true, Output::Color, [false, true]),
+        (true, true, Output::Color, [false, true]),
+        (false, true, Output::Depth, [false, false]),
+    ] {
+        let frame = FrameFacts { output, is_averaged, is_exposed, ..FrameFacts::default() };
+        let plan = super::plan(&facts, &frame, &WIDE);
+        assert_eq!([Pass::Average, Pass::Accumulate].map(|pass| plan.runs(pass)), expected);
+    }
+}
+
+#[test]
 fn steps_first_record_passes_in_the_order_of_the_table() {
     for plan in every_plan() {
         let mut recorded: Vec<Pass> = Vec::new();

@@ -18,7 +18,7 @@ function control(setting) {
   label.title = setting.help;
   if (setting.kind === 'number') {
     const input = document.createElement('input');
-    Object.assign(input, { id: setting.name, type: 'number', min: setting.least, max: setting.most, step: 'any', inputMode: 'decimal', placeholder: setting.default ?? (setting.absent === 'none' ? 'none' : 'as the scene') });
+    Object.assign(input, { id: setting.name, type: 'number', min: setting.least, max: setting.most, step: 'any', inputMode: 'decimal', placeholder: setting.default ?? (setting.absent === 'the scene’s' ? 'as the scene' : setting.absent) });
     label.append(input);
     return label;
   }
@@ -59,6 +59,7 @@ function facts() {
   for (const { name } of declared) found[name] = $(name).value || drawn[name];
   // With a level of detail, meshes have samples.
   found.samples = scene && (scene.samples || found.lod === 'spt') ? 'some' : 'none';
+  found.blur = Number(found.aperture) > 0 || Number(found.shutter) > 0 ? 'some' : 'none';
   found.segments = scene?.segments ? 'some' : 'none';
   return found;
 }

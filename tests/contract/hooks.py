@@ -118,6 +118,17 @@ def follow_part(params):
         params["part_of"] = "20000,20000,100,50"
 
 
+def follow_lens(params):
+    """A lens of a size that fits its focus distance, in perspective, where settings are not chosen."""
+    if params.keys() & {"ortho_height", "budget_ms", "min_psnr_db"} or params.get("projection") == "orthographic":
+        params.pop("aperture", None)
+        params.pop("focus_distance", None)
+    if "aperture" in params:
+        params["aperture"] = 0.1
+    if "focus_distance" in params:
+        params["focus_distance"] = 3
+
+
 def default_of(name):
     """A setting's default; `None` where the scene has one, or where there is none."""
     return next((setting.get("default") for setting in SETTINGS if setting["name"] == name), None)
@@ -170,6 +181,9 @@ def follow_settings(params):
     params.pop("field", None)
     if params.get("color_by") in shows_fields:
         params["color_by"] = "height"
+    if "focus_distance" in params:
+        params["aperture"] = 0.1
+    follow_lens(params)
     follow_needs(params)
     follow_clip_boxes(params)
     follow_part(params)
@@ -259,6 +273,9 @@ def follow_comparison(body):
             # They share the pose.
             settings.pop("projection", None)
             settings.pop("part_of", None)
+            # The reference has no lens, and the pose that they share may be one of parallel rays.
+            settings.pop("aperture", None)
+            settings.pop("focus_distance", None)
             follow_settings(settings)
     if "b" in body:
         body.pop("against", None)
@@ -373,8 +390,10 @@ def map_case(context, case):
         elif label == "POST /v1/scenes/{id}/frames":
             shrink(case.body)
             for pose in [case.body, *case.body["poses"]]:
-                # A part does not go with every pose, nor with a goal that another part of the body gives.
+                # A part does not go with every pose, nor with a goal that another part of the body gives. Neither does a lens.
                 pose.pop("part_of", None)
+                pose.pop("aperture", None)
+                pose.pop("focus_distance", None)
                 follow_clip_boxes(pose)
                 follow_color_bounds(pose)
             for pose in case.body["poses"]:

@@ -225,7 +225,8 @@ fn every_pass_is_recorded_by_some_frame_in_the_order_of_the_table() {
         let shaped = Settings { edl: Edl::On, ..Settings::drawn_as(Reconstruct::Points) };
         let fine =
             Settings { antialias: Antialias::Parts4, ..Settings::drawn_as(Reconstruct::Points) };
-        let rows = settings().into_iter().take(10).chain([shaped, fine]);
+        let lens = Settings { aperture: 0.1.into(), ..Settings::drawn_as(Reconstruct::Points) };
+        let rows = settings().into_iter().take(10).chain([shaped, fine, lens]);
         let glass = Settings::drawn_as(Reconstruct::Points);
         let frames = rows.map(|settings| ("rows", settings)).chain([("glass", glass)]);
         for (scene, settings) in frames {

@@ -20,6 +20,7 @@ mod framing;
 mod hard_scenes;
 mod hidden;
 mod large_triangles;
+mod lens;
 mod limits;
 mod lines;
 mod loss;

@@ -76,6 +76,7 @@ fn parts_make_up_the_whole() {
     // Effects that look at neighbouring pixels have none beyond a part's border.
     let plain = Settings { ao: Effect::Off, edl: Edl::Off, ..Settings::default() };
     let spt = Settings { lod: Lod::Spt, ..plain };
+    let lens = Settings { aperture: 0.5.into(), ..plain };
     for (scene, camera, settings) in [
         ("town", "overview", plain),
         ("town", "street", Settings { reconstruct: Reconstruct::Splats, ..plain }),
@@ -84,6 +85,7 @@ fn parts_make_up_the_whole() {
         ("textured", "front", plain),
         ("glasshouse", "corner", plain),
         ("part", "front", plain),
+        ("part", "front", lens),
         ("neurons", "front", plain),
     ] {
         for output in [Output::Color, Output::Id] {

@@ -159,6 +159,7 @@ fn refusals_name_the_parameter() {
         (json!({ "b": {} }), 422, ""),
         (json!({ "a": {}, "b": {}, "against": "reference" }), 422, "against"),
         (json!({ "a": {}, "against": "oracle" }), 422, "against"),
+        (json!({ "a": { "aperture": 0.1 }, "against": "reference" }), 422, "a.aperture"),
         (json!({ "a": {}, "b": {}, "camera": "back" }), 422, "camera"),
         (json!({ "a": {}, "b": {}, "output": "depth" }), 422, "output"),
         (json!({ "a": {}, "b": {}, "format": "exr" }), 422, "format"),

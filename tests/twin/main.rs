@@ -21,6 +21,7 @@ mod fog;
 mod fuzzy;
 mod golden;
 mod instances;
+mod lens;
 mod lights;
 mod lines;
 mod materials;

@@ -46,8 +46,11 @@ fn drawings_of_different_settings_differ() {
         };
         let mut needed = Given::default();
         for rule in &setting.needs {
-            let value = rule.is.first().copied().unwrap_or("0,0,0,1,1,1");
-            needed.set_text(rule.of, value).unwrap();
+            let any = if rule.of == Settings::LENS { "1" } else { "0,0,0,1,1,1" };
+            needed.set_text(rule.of, rule.is.first().copied().unwrap_or(any)).unwrap();
+        }
+        if setting.useful_with.iter().any(|rule| rule.of == "blur") {
+            needed.set_text(Settings::LENS, "1").unwrap();
         }
         let drawings = values.iter().map(|value| {
             let mut given = needed;

@@ -1,6 +1,6 @@
 //! Turns a pose into a frame request: as asked for, or cheaper while the pose moves. Pure.
 //!
-//! A moving frame is smaller, is a JPEG where a browser would show one, and has less detail with `lod=spt`. The cost of such a
+//! A moving frame is smaller, has no depth of field, is a JPEG where a browser would show one, and has less detail with `lod=spt`. The cost of such a
 //! frame depends little on its pixels once they are few, and much on the accepted error.
 
 use std::time::Instant;
@@ -58,8 +58,8 @@ pub fn still_request(id: &str, params: &FrameParams) -> Result<FrameRequest, Pro
         (None, _) => ImageFormat::Png,
     };
     let request = params.request(id, format, Instant::now())?;
-    // Decided here, because moving and still frames are told apart by what antialiasing does.
-    Ok(request.with_antialias_decided())
+    // Decided here, because moving and still frames are told apart by what antialiasing and blur do.
+    Ok(request.with_antialias_decided().with_blur_decided())
 }
 
 /// Builds a frame of the given quality. A moving frame that comes out as good as requested counts as still.
@@ -94,7 +94,9 @@ pub fn wanted(
         request.quality = pace.jpeg_quality.min(most);
     }
     let facts = |request: &FrameRequest| {
-        (request.width, request.height, request.settings.parts(), Made::of(request))
+        let settings = &request.settings;
+        let sampling = (settings.parts(), settings.exposures());
+        (request.width, request.height, sampling, Made::of(request))
     };
     let as_asked = facts(&request) == facts(&still);
     let quality = if as_asked { Quality::Still } else { Quality::Moving };

@@ -1,5 +1,6 @@
 //! The surfaces of visible pixels, and the output that they make.
 
+pub mod accumulate;
 pub mod ambient_occlusion;
 pub mod average;
 pub mod composite_layers;

@@ -22,6 +22,7 @@ pub struct Setting {
     pub needs: Vec<Rule>,
     /// Where one of these does not hold, the setting has no effect worth a control, or the rule's value cannot be drawn. `output`, `samples`,
     /// `segments`, `lights`, `casting_lights`, `scene_environment`, `scene_fog`, `scene_occlusion` and `fields` are facts of the frame and its scene; `fields` are the names of its scalar fields.
+    /// `blur` is `some` with an aperture or an open shutter.
     pub useful_with: Vec<Rule>,
     /// Whether the setting trades accuracy for time, so that comparisons vary it.
     #[serde(serialize_with = "is_there")]
@@ -60,7 +61,7 @@ pub enum SettingKind {
         most: f64,
         /// `null`: see `absent`.
         default: Option<f64>,
-        /// What holds without a value where there is no default: `the scene’s` value, or `none`.
+        /// What holds without a value where there is no default: `the scene’s` value, that of the camera (`the target’s`), or `none`.
         absent: &'static str,
         unit: &'static str,
     },
@@ -167,8 +168,9 @@ impl Rule {
     }
 
     pub(super) fn holds(&self, words: &Map<String, Value>) -> bool {
-        let word = words.get(self.of).and_then(Value::as_str);
-        word.is_some_and(|word| self.is.is_empty() || self.is.contains(&word))
+        let value = words.get(self.of).filter(|value| !value.is_null());
+        let is_listed = |value: &Value| value.as_str().is_some_and(|word| self.is.contains(&word));
+        value.is_some_and(|value| self.is.is_empty() || is_listed(value))
     }
 }
 

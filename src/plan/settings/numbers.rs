@@ -89,6 +89,12 @@ numbers! {
     EdlRadius: 1.0 to 16.0 "pixels", 1.4;
     /// Exposure, in stops.
     Exposure: -16.0 to 16.0 "stops", 0.0;
+    /// Diameter of a lens, in scene units.
+    LensDiameter: 0.0 to 1e9 "scene units", 0.0;
+    /// Distance along the viewing axis, in scene units.
+    ViewDistance: 1e-9 to 1e9 "scene units", 1.0;
+    /// Share of the time between two frames.
+    OpenShare: 0.0 to 1.0 "", 0.0;
     /// GPU time of a frame, in milliseconds.
     BudgetMs: 0.01 to 60000.0 "ms", 33.0;
     /// Peak signal-to-noise ratio, in decibels.
@@ -129,6 +135,42 @@ optional! {
     Budget of BudgetMs, "none";
     /// Least peak signal-to-noise ratio of a frame, where there is one.
     MinPsnr of Decibels, "none";
+    /// Distance at which things are sharp. Where there is none, the camera decides.
+    FocusDistance of ViewDistance, "the target’s";
+}
+
+/// Declares types of numbers that stand for nothing where they are 0.
+macro_rules! switched {
+    ($($(#[doc = $doc:literal])+ $name:ident of $number:ident;)+) => {$(
+        $(#[doc = $doc])+
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize)]
+        #[serde(transparent)]
+        pub struct $name(Option<$number>);
+
+        impl $name {
+            pub(super) fn kind() -> SettingKind {
+                $number::kind()
+            }
+
+            /// The number; `None` for 0.
+            pub fn get(self) -> Option<f64> {
+                self.0.map(|number| exact(number.get()))
+            }
+        }
+
+        impl From<f64> for $name {
+            fn from(value: f64) -> Self {
+                $name((value > 0.0).then(|| value.into()))
+            }
+        }
+    )+};
+}
+
+switched! {
+    /// Diameter of the lens. Without one, the camera is a pinhole.
+    Aperture of LensDiameter;
+    /// Share of the time between two frames for which the shutter is open. Without one, a frame shows an instant.
+    Shutter of OpenShare;
 }
 
 /// Declares numbers that grow with the pixels of a frame.
@@ -168,6 +210,19 @@ impl LineWidth {
 impl Budget {
     pub fn ms(self) -> Option<f64> {
         self.0.map(|budget| exact(budget.get()))
+    }
+}
+
+impl FocusDistance {
+    /// A distance, or the nearest one in the range.
+    pub fn nearest(distance: f64) -> FocusDistance {
+        let [least, most] = ViewDistance::RANGE.map(exact);
+        distance.clamp(least, most).into()
+    }
+
+    /// The distance, where there is one.
+    pub fn get(self) -> Option<f64> {
+        self.0.map(|distance| exact(distance.get()))
     }
 }
 

@@ -29,8 +29,13 @@ fn other_value(setting: &Setting) -> Given {
     };
     let mut given = Given::default();
     for rule in &setting.needs {
-        let value = rule.is.first().copied().unwrap_or("0,0,0,1,1,1");
-        given.set_text(rule.of, value).unwrap();
+        let is_number =
+            matches!(declaration(rule.of).map(|of| &of.kind), Some(SettingKind::Number { .. }));
+        let any = if is_number { "1" } else { "0,0,0,1,1,1" };
+        given.set_text(rule.of, rule.is.first().copied().unwrap_or(any)).unwrap();
+    }
+    if setting.useful_with.contains(&BLURRED) {
+        given.set_text("aperture", "1").unwrap();
     }
     given.set_text(setting.name, &value).unwrap();
     given
@@ -78,8 +83,9 @@ fn declarations_are_complete() {
         for rule in setting.needs.iter().chain(&setting.useful_with) {
             let kind = declaration(rule.of).map(|setting| &setting.kind);
             let Some(SettingKind::Choice { choices, .. }) = kind else {
-                // Any text will do.
-                let is_text = matches!(kind, Some(SettingKind::Text { .. }));
+                // Any text or number will do.
+                let is_text =
+                    matches!(kind, Some(SettingKind::Text { .. } | SettingKind::Number { .. }));
                 let is_fact = [
                     "output",
                     "samples",
@@ -89,6 +95,7 @@ fn declarations_are_complete() {
                     "scene_environment",
                     "scene_fog",
                     "scene_occlusion",
+                    "blur",
                     "fields",
                 ]
                 .contains(&rule.of);

@@ -184,9 +184,10 @@ impl Settings {
         StillFrame { height, max_error: self.max_error_px, parts: self.parts() }
     }
 
-    /// Makes these the settings of a frame that stands in for a still one: it may have another error, and has no
-    /// antialiasing. `auto` decides for the still one.
+    /// Makes these the settings of a frame that stands in for a still one: it may have another error, and has neither
+    /// antialiasing nor blur. `auto` decides for the still one.
     pub fn stand_in_for(&mut self, still: StillFrame, error: MaxError) {
+        *self = self.without_blur();
         self.decide_for = Some(still);
         self.antialias = Antialias::Off;
         self.max_error_px = error;

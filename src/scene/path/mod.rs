@@ -192,6 +192,28 @@ impl PathSampler {
         };
         if t > key.t { leg.between(&key.camera, &next.camera, t - key.t) } else { key.camera }
     }
+
+    /// The cameras at `count` times while a shutter is open: in the middle of equal parts of the time from `t - 0.5 * open_s` to
+    /// `t + 0.5 * open_s`. A cut within that time ends the exposure, so that no frame shows what is before and behind the cut.
+    pub fn while_open(&self, t: f64, open_s: f64, count: u32) -> Vec<Camera> {
+        let [first, last] = self.shot(t);
+        let (opens, closes) = ((t - 0.5 * open_s).max(first), (t + 0.5 * open_s).min(last));
+        let share = |number: u32| (f64::from(number) + 0.5) / f64::from(count);
+        (0..count).map(|number| self.at(opens + (closes - opens) * share(number))).collect()
+    }
+
+    /// The time between two cuts that `t` lies in. A cut is at the end of a wait, and where the projection changes.
+    fn shot(&self, t: f64) -> [f64; 2] {
+        let cuts = self.keys.windows(2).filter(|pair| {
+            let [before, behind] =
+                [pair[0].camera.lens, pair[1].camera.lens].map(|lens| lens.projection());
+            pair[0].ease == Ease::Hold || before != behind
+        });
+        cuts.fold([f64::NEG_INFINITY, f64::INFINITY], |[first, last], pair| match pair[1].t {
+            cut if cut <= t => [first.max(cut), last],
+            cut => [first, last.min(cut)],
+        })
+    }
 }
 
 impl Leg {

@@ -118,6 +118,59 @@ fn orientations_turn_evenly_about_one_axis() {
 }
 
 #[test]
+fn cameras_while_a_shutter_is_open_are_in_the_middle_of_equal_times() {
+    let keys = vec![
+        key(0.0, [0.0, 0.0, 5.0], [0.0; 3], Ease::Linear),
+        key(1.0, [4.0, 0.0, 5.0], [4.0, 0.0, 0.0], Ease::Linear),
+    ];
+    let sampler = path(Interpolation::Linear, keys.clone()).sampler().unwrap();
+    let places = |t: f64, open_s: f64| {
+        let cameras = sampler.while_open(t, open_s, 4);
+        cameras.into_iter().map(|camera| camera.eye.x).collect::<Vec<f64>>()
+    };
+    let near = |found: Vec<f64>, expected: [f64; 4]| {
+        let close = found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9);
+        assert!(close && found.len() == 4, "{found:?} and {expected:?}");
+    };
+    near(places(0.5, 0.2), [1.7, 1.9, 2.1, 2.3]);
+    near(places(0.5, 0.0), [2.0; 4]);
+    // Before the first key the camera rests.
+    near(places(0.0, 0.2), [0.0, 0.0, 0.1, 0.3]);
+    near(places(1.0, 0.2), [3.7, 3.9, 4.0, 4.0]);
+}
+
+#[test]
+fn no_exposure_reaches_across_a_cut() {
+    let mut keys = vec![
+        key(0.0, [0.0, 0.0, 5.0], [0.0; 3], Ease::Linear),
+        key(1.0, [4.0, 0.0, 5.0], [4.0, 0.0, 0.0], Ease::Hold),
+        key(2.0, [40.0, 0.0, 5.0], [40.0, 0.0, 0.0], Ease::Linear),
+        key(3.0, [44.0, 0.0, 5.0], [44.0, 0.0, 0.0], Ease::Linear),
+        key(4.0, [48.0, 0.0, 5.0], [48.0, 0.0, 0.0], Ease::Linear),
+    ];
+    keys[3].camera.lens = Lens::Orthographic { height: 4.0 };
+    keys[4].camera.lens = Lens::Orthographic { height: 4.0 };
+    let sampler = path(Interpolation::Linear, keys).sampler().unwrap();
+    for (t, cut, is_behind) in [
+        (1.99, 2.0, false),
+        (2.0, 2.0, true),
+        (2.01, 2.0, true),
+        (2.95, 3.0, false),
+        (3.0, 3.0, true),
+    ] {
+        let cameras = sampler.while_open(t, 0.4, 16);
+        let first = if is_behind { cut } else { t - 0.2 };
+        let last = if is_behind { t + 0.2 } else { cut };
+        for (number, camera) in cameras.iter().enumerate() {
+            let at = first + (last - first) * (number as f64 + 0.5) / 16.0;
+            assert!(at < cut || is_behind);
+            assert!((camera.eye - sampler.at(at).eye).length() < 1e-6, "{t} {number}");
+            assert_eq!(camera.lens.projection(), sampler.at(t).lens.projection(), "{t} {number}");
+        }
+    }
+}
+
+#[test]
 fn field_of_view_and_distance_change_with_the_rest() {
     let mut keys = vec![
         key(0.0, [0.0, 0.0, 10.0], [0.0; 3], Ease::InOut),

@@ -50,6 +50,20 @@ fn what_is_as_good_as_asked_is_still() {
 }
 
 #[test]
+fn moving_frames_have_no_depth_of_field_and_the_still_one_has() {
+    let seen = moving("w=64&h=64&format=raw&aperture=0.1&focus_distance=2", 0.25);
+    assert_eq!((seen.quality, seen.request.settings.exposures()), (Quality::Moving, 1));
+    let pace = Pace { scale: 0.25, coarseness: 1.0, jpeg_quality: 60 };
+    let still = wanted("s", &params("aperture=0.1&shutter=1"), Quality::Still, pace).unwrap();
+    let settings = still.request.settings;
+    assert_eq!(
+        (settings.exposures(), settings.open_share()),
+        (32, None),
+        "no path moves the camera"
+    );
+}
+
+#[test]
 fn moving_frames_of_point_trees_are_coarser_and_still_ones_are_not() {
     let error = |query: &str, coarseness| {
         let request = coarse(query, 0.25, coarseness).request;

@@ -1,0 +1,136 @@
+//! Settings of depth of field and motion blur.
+
+use clap::ValueEnum;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::{Aperture, FocusDistance, Output, Settings, Shutter};
+
+/// Number of exposures whose mean a frame is.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema, ValueEnum,
+)]
+pub enum BlurSamples {
+    /// A draft, in which blur is a few shifted images
+    #[serde(rename = "4")]
+    #[value(name = "4")]
+    Exposures4,
+    /// For slight blur, of some 4 pixels
+    #[serde(rename = "8")]
+    #[value(name = "8")]
+    Exposures8,
+    /// For blur of some 8 pixels
+    #[serde(rename = "16")]
+    #[value(name = "16")]
+    Exposures16,
+    /// For blur of some 12 pixels
+    #[default]
+    #[serde(rename = "32")]
+    #[value(name = "32")]
+    Exposures32,
+    /// For blur of some 20 pixels
+    #[serde(rename = "64")]
+    #[value(name = "64")]
+    Exposures64,
+    /// For blur of some 30 pixels
+    #[serde(rename = "128")]
+    #[value(name = "128")]
+    Exposures128,
+    /// For wide blur of small bright things
+    #[serde(rename = "256")]
+    #[value(name = "256")]
+    Exposures256,
+}
+
+impl BlurSamples {
+    fn get(self) -> u32 {
+        4 << self as u32
+    }
+}
+
+impl Settings {
+    /// Names of the settings, for errors.
+    pub const LENS: &str = "aperture";
+    pub const FOCUS: &str = "focus_distance";
+    pub const SHUTTER: &str = "shutter";
+    pub const EXPOSURES: &str = "blur_samples";
+
+    /// Diameter of the lens in scene units; `None` for a pinhole.
+    pub fn lens_diameter(&self) -> Option<f64> {
+        self.aperture.get()
+    }
+
+    /// Distance along the viewing axis at which things are sharp, in scene units, where it is given.
+    pub fn focus(&self) -> Option<f64> {
+        self.focus_distance.get()
+    }
+
+    /// Share of the time between two frames for which the shutter is open; `None` for an instant.
+    pub fn open_share(&self) -> Option<f64> {
+        self.shutter.get()
+    }
+
+    /// Whether a frame is the mean of several exposures.
+    pub fn is_blurred(&self) -> bool {
+        self.lens_diameter().is_some() || self.open_share().is_some()
+    }
+
+    /// Number of exposures whose mean a frame is.
+    pub fn exposures(&self) -> u32 {
+        if self.is_blurred() { self.blur_samples.get() } else { 1 }
+    }
+
+    /// The settings of a frame of an output. Colours alone are blurred, and by motion only where the camera `moves` while the shutter is open.
+    #[must_use]
+    pub fn with_blur_decided(&self, output: Output, moves: bool) -> Settings {
+        if output != Output::Color {
+            return self.without_blur();
+        }
+        let shutter = if moves { self.shutter } else { Shutter::default() };
+        Settings { shutter, ..*self }
+    }
+
+    /// The settings of a sharp frame.
+    #[must_use]
+    pub fn without_blur(&self) -> Settings {
+        let (aperture, shutter) = (Aperture::default(), Shutter::default());
+        Settings { aperture, shutter, focus_distance: FocusDistance::default(), ..*self }
+    }
+
+    /// The settings with the plane of focus at a distance, or at the nearest one that a setting may have.
+    #[must_use]
+    pub fn focused_at(&self, distance: f64) -> Settings {
+        Settings { focus_distance: FocusDistance::nearest(distance), ..*self }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::MOST_EXPOSURES;
+
+    #[test]
+    fn blur_needs_an_aperture_or_a_moving_camera() {
+        let sharp = Settings::default();
+        let lens = Settings { aperture: 0.5.into(), ..sharp };
+        let moving = Settings { shutter: 0.5.into(), ..sharp };
+        assert_eq!([sharp, lens, moving].map(|one| one.exposures()), [1, 32, 32]);
+        assert_eq!(Settings { aperture: 0.0.into(), shutter: 0.0.into(), ..sharp }, sharp);
+        assert_eq!(moving.with_blur_decided(Output::Color, false), sharp);
+        assert_eq!(moving.with_blur_decided(Output::Color, true), moving);
+        assert_eq!(lens.with_blur_decided(Output::Color, false), lens);
+        let focused = lens.focused_at(2.0);
+        assert_eq!((focused.focus(), focused.without_blur()), (Some(2.0), sharp));
+        assert_eq!(focused.with_blur_decided(Output::Depth, true), sharp);
+        assert_eq!(lens.focused_at(1e30).focus(), Some(1e9));
+    }
+
+    #[test]
+    fn numbers_of_exposures_are_those_of_their_names() {
+        for value in BlurSamples::value_variants() {
+            let name = value.to_possible_value().unwrap().get_name().to_owned();
+            assert_eq!(name, value.get().to_string());
+        }
+        assert_eq!(BlurSamples::Exposures256.get(), MOST_EXPOSURES);
+    }
+}
