@@ -206,7 +206,7 @@ fn an_edge_is_blurred_as_by_a_disc() {
         0.5 + (t * (1.0 - t * t).sqrt() + t.asin()) / PI
     };
     let mut before = f64::INFINITY;
-    for (count, most) in [(BlurSamples::Exposures32, 0.06), (BlurSamples::Exposures256, 0.012)] {
+    for (count, most) in [(BlurSamples::Exposures32, 0.06), (BlurSamples::Exposures256, 0.016)] {
         let asked = Settings {
             aperture: 0.3.into(),
             blur_samples: count,
