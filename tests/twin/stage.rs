@@ -38,6 +38,7 @@ static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
             // The oracle's rays to a sun would take minutes; `shadows` has scenes of its own.
             // So would its rays for ambient occlusion, which `occlusion` has scenes for.
             let plain: String = text
+                .replace(r#", "shadows": true, "angle": 6"#, "")
                 .replace(r#", "shadows": true"#, "")
                 .lines()
                 .filter(|line| !line.contains("ambient_occlusion"))
