@@ -10,7 +10,7 @@ const BALL_SEEN: u32 = 11u;
 // Roughness of the first image.
 const FIRST_ROUGHNESS: f32 = 0.045;
 
-// Where each image begins, and its side; then their texels.
+// Where each image begins, and its side; the factor of all light; then the texels.
 @group(1) @binding(13) var<storage, read> environment: array<vec2<u32>>;
 
 fn environment_texel(index: u32) -> vec3<f32> {
@@ -29,7 +29,7 @@ fn environment_at(direction: vec3<f32>, image: u32) -> vec3<f32> {
     let first = own.x + u32(corner.y) * row + u32(corner.x);
     let above = mix(environment_texel(first), environment_texel(first + 1u), share.x);
     let below = mix(environment_texel(first + row), environment_texel(first + row + 1u), share.x);
-    return mix(above, below, share.y);
+    return mix(above, below, share.y) * bitcast<f32>(environment[BALL_SEEN + 1u].x);
 }
 
 // What a mirror of a roughness shows in a direction.

@@ -29,7 +29,7 @@ const CHANGE: u8 = 32;
 /// 2.8 thousandths of them do, since a sample leaves one pixel and enters another; more where rows of samples lie along rows of pixels.
 const MOST_CHANGED: usize = (SIZE[0] * SIZE[1]) as usize / 100;
 /// Poses with the same settings that are drawn together.
-const AT_ONCE: u32 = 16;
+pub const AT_ONCE: u32 = 16;
 /// Distances from the scene's middle, in halves of its diagonal; fields of view in degrees. Both are distributed evenly over their logarithms.
 const DISTANCES: [f64; 2] = [0.02, 200.0];
 const FIELDS_DEG: [f64; 2] = [0.02, 170.0];
@@ -75,6 +75,8 @@ pub struct Broken {
 pub struct Sweep<'a> {
     pub engine: &'a Engine,
     pub rows: &'a [Row],
+    /// The row that the first views are drawn with.
+    pub first: usize,
     /// Pairs of frames.
     pub views: u64,
     pub seed: u64,
@@ -93,13 +95,16 @@ impl Sweep<'_> {
         mut told: impl FnMut(u64),
     ) -> Result<Steadiness, EngineError> {
         let mut random = SplitMix64::stream(self.seed, 0);
+        // Rows in turn, each scene from another one on.
+        let first = self.first;
+        let groups = self.views.div_ceil(u64::from(AT_ONCE)) as usize;
         let mut found = Steadiness {
             scene: scene.name.clone(),
-            settings: self.rows.len(),
+            settings: groups.min(self.rows.len()),
             bound: MOST_CHANGED,
             ..Steadiness::default()
         };
-        let mut group = 0;
+        let mut group = first;
         let mut left = self.views;
         while left > 0 && !self.stop.load(Ordering::Relaxed) {
             let count = left.min(u64::from(AT_ONCE));
@@ -110,7 +115,7 @@ impl Sweep<'_> {
             group += 1;
             told(self.views - left);
         }
-        found.holds = found.not_finite == 0 && found.unsteady == 0;
+        found.holds = found.views > 0 && found.not_finite == 0 && found.unsteady == 0;
         Ok(found)
     }
 

@@ -52,7 +52,7 @@ impl EnvironmentImage {
                 .map_err(|error| unreadable(error.into()))
         };
         let (width, height) = reader()?.into_dimensions().map_err(unreadable)?;
-        if u64::from(width) != 2 * u64::from(height) {
+        if height == 0 || u64::from(width) != 2 * u64::from(height) {
             return Err(AssetError::unsupported(
                 &file,
                 format!(
@@ -69,7 +69,10 @@ impl EnvironmentImage {
         limits.max_alloc = Some(found.saturating_mul(32).saturating_add(64 << 20));
         let mut reader = reader()?;
         reader.limits(limits);
-        let image = reader.decode().map_err(unreadable)?;
+        let image = reader.decode().map_err(|error| {
+            let reason = format!("the image of surroundings is damaged: {error}");
+            AssetError::unsupported(&file, reason)
+        })?;
         let is_linear =
             matches!(image, DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_));
         let light = |[r, g, b]: [f32; 3]| {
@@ -127,6 +130,9 @@ mod tests {
         let told = |name: &str, write: &dyn Fn(&Path)| read(name, write).unwrap_err().to_string();
         let square = told("square.hdr", &|path| floats(4, 4, 1.0).save(path).unwrap());
         assert!(square.contains("4 × 4") && square.contains("twice as wide as high"), "{square}");
+        let empty = "#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 0 +X 0\n";
+        let empty = told("empty.hdr", &|path| std::fs::write(path, empty).unwrap());
+        assert!(empty.contains("0 × 0"), "{empty}");
         let text = told("text.hdr", &|path| std::fs::write(path, "no image").unwrap());
         assert!(text.contains("text.hdr") && text.contains("HDR, EXR, PNG"), "{text}");
         for light in [f32::NAN, f32::INFINITY, -1.0] {
@@ -138,7 +144,7 @@ mod tests {
             let bytes = std::fs::read(path).unwrap();
             std::fs::write(path, &bytes[..bytes.len() / 2]).unwrap();
         });
-        assert!(cut.contains("cut.exr"), "{cut}");
+        assert!(cut.contains("cut.exr") && cut.contains("damaged"), "{cut}");
         let missing = EnvironmentImage::read(Path::new("nowhere.hdr"), &ReadOptions::default());
         assert!(missing.unwrap_err().to_string().contains("nowhere.hdr"));
         let few = ReadOptions { max_texels: 31, ..ReadOptions::default() };

@@ -42,8 +42,8 @@ const WIDE: f32 = 0.25;
 /// Octahedral images of surroundings, by directions of the world.
 #[derive(Debug)]
 pub struct EnvironmentMap {
-    /// Two words for each texel, three numbers of 16 bits; before them, where each image begins (counted in texels) and how long its side is. Images have a
-    /// border of a texel on each side.
+    /// Two words for each texel, three numbers of 16 bits; before them, where each image begins (counted in texels) and how long its side is, and the factor of
+    /// all light. Images have a border of a texel on each side.
     pub texels: Vec<[u32; 2]>,
     /// Mean light over all directions, linear RGB.
     pub mean: [f32; 3],
@@ -70,10 +70,11 @@ impl EnvironmentMap {
         let source = Source { image, environment };
         let cells = Cells::of(&source, blurred_side(image));
         let mean = cells.mean();
-        let mut texels = vec![[0; 2]; IMAGES];
+        let mut texels = vec![[0; 2]; IMAGES + 1];
+        texels[IMAGES] = [(environment.strength as f32).to_bits(), 0];
         for (number, side) in sides(image).into_iter().enumerate() {
             let light = match number {
-                0 => each(side, |way| source.light(way, side)),
+                0 => source.image(side),
                 SCATTERED => cells.blurred(side, &Lambert),
                 BALL => cells.blurred(side, &Ball),
                 _ => {
@@ -86,7 +87,7 @@ impl EnvironmentMap {
         }
         EnvironmentMap {
             texels,
-            mean: mean.to_array(),
+            mean: (mean * environment.strength as f32).to_array(),
             shown: environment.shown,
             memory: Reservation::default(),
         }
@@ -116,6 +117,13 @@ fn direction(at: Vec2) -> Vec3 {
     let fold = (-z).max(0.0);
     let v = Vec3::new(at.x - fold.copysign(at.x), at.y - fold.copysign(at.y), z);
     v / v.length()
+}
+
+/// The solid angle about a place for each unit of area there: the octahedron's face is seen under it.
+fn solid_angle(at: Vec2) -> f32 {
+    let z = 1.0 - at.x.abs() - at.y.abs();
+    let folded = (-z).max(0.0);
+    Vec3::new(at.x.abs() - folded, at.y.abs() - folded, z).length().powi(-3)
 }
 
 /// The middle of a texel.
@@ -158,19 +166,23 @@ struct Source<'a> {
 }
 
 impl Source<'_> {
-    /// The mean light of a texel of an octahedral image about a direction.
-    fn light(&self, direction: Vec3, side: u32) -> Vec3 {
-        // As many places along a side of the texel as it has texels of the surroundings' image.
-        let places = self.image.width.div_ceil(2 * side).max(1);
-        if places == 1 {
-            return self.at(direction);
-        }
-        let (u, v) = direction.any_orthonormal_pair();
-        let step = PI / side as f32 / places as f32;
-        let offset = |i: u32| (i as f32 + 0.5 - 0.5 * places as f32) * step;
-        let place = |i: u32| direction + u * offset(i % places) + v * offset(i / places);
-        let sum: Vec3 = (0..places * places).map(|i| self.at(place(i))).sum();
-        sum / (places * places) as f32
+    /// The mean light of each texel of an octahedral image.
+    fn image(&self, side: u32) -> Vec<Vec3> {
+        // So many places along a side of a texel that no pixel of the surroundings' image is passed over: texels are 3.4 / side wide at the horizon.
+        let places = (1.07 * self.image.width as f32 / side as f32).ceil() as u32;
+        let texel = |i: u32| {
+            let (mut sum, mut weights) = (Vec3::ZERO, 0.0);
+            for place in 0..places * places {
+                let x = i % side * places + place % places;
+                let y = i / side * places + place / places;
+                let at = middle(x, y, side * places);
+                let weight = solid_angle(at);
+                sum += self.at(direction(at)) * weight;
+                weights += weight;
+            }
+            sum / weights
+        };
+        (0..side * side).into_par_iter().map(texel).collect()
     }
 
     /// The light of a direction, interpolated.
@@ -188,7 +200,7 @@ impl Source<'_> {
         let (left, top) = (x.floor(), y.floor());
         let (right, low) = ((x - left) as f32, (y - top) as f32);
         let row = |y: i64| texel(left as i64, y).lerp(texel(left as i64 + 1, y), right);
-        row(top as i64).lerp(row(top as i64 + 1), low) * self.environment.strength as f32
+        row(top as i64).lerp(row(top as i64 + 1), low)
     }
 }
 
@@ -261,15 +273,13 @@ struct Cells {
 
 impl Cells {
     fn of(source: &Source<'_>, side: u32) -> Cells {
+        let light = source.image(side);
         let finest = |i: u32| {
             let at = middle(i % side, i / side, side);
             let own = direction(at);
-            let z = 1.0 - at.x.abs() - at.y.abs();
-            let folded = (-z).max(0.0);
-            let plane = Vec3::new(at.x.abs() - folded, at.y.abs() - folded, z);
             Cell {
-                light: source.light(own, side),
-                solid_angle: (2.0 / side as f32).powi(2) / plane.length().powi(3),
+                light: light[i as usize],
+                solid_angle: solid_angle(at) * (2.0 / side as f32).powi(2),
                 middle: own,
                 centre: own,
             }
@@ -412,7 +422,7 @@ mod tests {
         let image = EnvironmentImage { width: 16, height: 8, radiance: vec![[0.5, 1.0, 2.0]; 128] };
         let map = EnvironmentMap::of(&image, &environment());
         assert!((Vec3::from(map.mean) - Vec3::new(0.5, 1.0, 2.0)).abs().max_element() < 1e-5);
-        for texel in &map.texels[IMAGES..] {
+        for texel in &map.texels[IMAGES + 1..] {
             assert_eq!(unpacked(*texel), [0.5, 1.0, 2.0]);
         }
         assert_eq!(map.texels[..IMAGES].last().map(|last| last[1]), Some(SMALLEST_SIDE));
@@ -432,6 +442,26 @@ mod tests {
             let sphere: f32 = level.iter().map(|cell| cell.solid_angle).sum();
             assert!((sphere / (4.0 * PI) - 1.0).abs() < 1e-3, "{sphere}");
             assert!((light(level) - all).abs().max_element() < 1e-3 * all.x);
+        }
+    }
+
+    /// The mean of the cells is that of the image, whose pixels have exact solid angles: also where all light is that of one pixel.
+    #[test]
+    fn small_suns_keep_their_light() {
+        for (width, column, row) in
+            [(64, 5, 9), (256, 100, 127), (2048, 256, 256), (2048, 1024, 511), (4096, 512, 1023)]
+        {
+            let height = width / 2;
+            let mut radiance = vec![[0.0; 3]; (width * height) as usize];
+            radiance[row * width as usize + column] = [1e6, 1e6, 1e6];
+            let image = EnvironmentImage { width, height, radiance };
+            let own = environment();
+            let cells =
+                Cells::of(&Source { image: &image, environment: &own }, blurred_side(&image));
+            let edge = |row: usize| (std::f64::consts::PI * row as f64 / f64::from(height)).cos();
+            let share = (edge(row) - edge(row + 1)) / (2.0 * f64::from(width));
+            let found = f64::from(cells.mean().x) / (1e6 * share);
+            assert!((found - 1.0).abs() < 0.12, "{width}, {column}, {row}: {found}");
         }
     }
 

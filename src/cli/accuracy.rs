@@ -20,7 +20,7 @@ use crate::accuracy::planning::{self, Planning};
 use crate::accuracy::reference::Reference;
 use crate::accuracy::results::Results;
 use crate::accuracy::stability::{Stability, stability};
-use crate::accuracy::steady::{Steadiness, Sweep};
+use crate::accuracy::steady::{self, Steadiness, Sweep};
 use crate::accuracy::survey::{Event, Purpose, Survey, SurveyError};
 use crate::accuracy::{date, report, sweep};
 use crate::assets::ReadOptions;
@@ -352,16 +352,17 @@ fn steadiness(args: &AccuracyArgs) -> Result<Vec<Steadiness>> {
     }
     let rows = sweep::rows(Extent::All);
     let stop = stop_when_told()?;
-    let mut found = Vec::with_capacity(args.scenes.len());
+    let (mut found, mut first) = (Vec::with_capacity(args.scenes.len()), 0);
     for scene in &args.scenes {
         let (engine, info) = load(args, scene)?;
         let mut telling = Telling::new();
         let what = scene.file_stem().unwrap_or_default().to_string_lossy();
         let (views, seed) = (args.views, args.seed);
-        let sweep = Sweep { engine: &engine, rows: &rows, views, seed, stop: &stop };
+        let sweep = Sweep { engine: &engine, rows: &rows, first, views, seed, stop: &stop };
         let told = |done| telling.hear(&Event { done, total: views, what: &what });
         found.push(sweep.of(&info, told).with_context(|| format!("drawing {}", scene.display()))?);
         telling.bar.finish_and_clear();
+        first += usize::try_from(views.div_ceil(u64::from(steady::AT_ONCE)))?;
         if stop.load(Ordering::Relaxed) {
             bail!("stopped by a signal");
         }

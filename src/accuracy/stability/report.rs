@@ -129,7 +129,7 @@ impl Stability {
             reasons => format!("\nrefused: {}.", reasons.join("; ")),
         };
         format!(
-            "Random views of {width}×{height} px with {settings} settings in turn, each beside a view 0.001 px aside.\nNaN: depths that are no numbers. changed: pixels whose colour differs by more than 32 of 255 in the worst pair.{refused}"
+            "Random views of {width}×{height} px with up to {settings} settings a scene, 16 views each, each beside a view 0.001 px aside.\nNaN: depths that are no numbers. changed: pixels whose colour differs by more than 32 of 255 in the worst pair.{refused}"
         )
     }
 
