@@ -131,12 +131,6 @@ fn middle(x: u32, y: u32, side: u32) -> Vec2 {
     (Vec2::new(x as f32, y as f32) + 0.5) * (2.0 / side as f32) - 1.0
 }
 
-/// The texels of an image, by their directions.
-fn each<T: Send>(side: u32, texel: impl Fn(Vec3) -> T + Sync) -> Vec<T> {
-    let at = |i: u32| texel(direction(middle(i % side, i / side, side)));
-    (0..side * side).into_par_iter().map(at).collect()
-}
-
 /// An image with its border, which continues it beyond its edges: across an edge lies the other half of the same edge.
 fn framed(side: u32, light: &[Vec3]) -> Vec<[u32; 2]> {
     let last = i64::from(side) - 1;
@@ -411,6 +405,12 @@ mod tests {
             (0..width * height).map(|i| [1.0 - (i / width) as f32 / height as f32; 3]).collect();
         radiance[10 * width as usize + 21] = [4000.0, 3000.0, 2000.0];
         EnvironmentImage { width, height, radiance }
+    }
+
+    /// The texels of an image, by their directions.
+    fn each<T: Send>(side: u32, texel: impl Fn(Vec3) -> T + Sync) -> Vec<T> {
+        let at = |i: u32| texel(direction(middle(i % side, i / side, side)));
+        (0..side * side).into_par_iter().map(at).collect()
     }
 
     fn unpacked([low, high]: [u32; 2]) -> [f32; 3] {
