@@ -57,7 +57,7 @@ fn environment_of_line(direction: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
 
 // The light that a line reflects. `direction`: the axis of a tube, or the normal of a ribbon.
 fn line_light(light: Light, albedo: vec3<f32>, material: Material, direction: vec3<f32>, place: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
-    if ENVIRONMENT && light.kind == 4u {
+    if ENVIRONMENT && light.kind == LIGHT_SURROUNDINGS {
         return albedo * environment_of_line(direction, to_eye);
     }
     let l = arriving(light, place, to_eye);

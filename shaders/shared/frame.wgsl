@@ -12,14 +12,14 @@ struct ClipBox {
 }
 
 // A sun's shadow map: the maps from places relative to the frame's origin, in world axes, to the pixels of the map and to the distance from the plane
-// that its depths are counted from, each a product with the first three numbers plus the last.
-struct SunMap {
+// that its depths are counted from, each a product with the first three numbers plus the last. Or the six maps of a lamp, one behind the other, whose rows are 0.
+struct ShadowMap {
     x: vec4<f32>,
     y: vec4<f32>,
     depth: vec4<f32>,
-    // Side of a pixel in world units.
+    // Side of a pixel in world units; of a lamp's maps, at a distance of 1.
     pixel: f32,
-    // Tangent of half the sun's angular diameter.
+    // Tangent of half the sun's angular diameter; the radius of a lamp.
     spread: f32,
     // Pixels along a side.
     side: u32,
@@ -115,7 +115,7 @@ struct Frame {
     fog_up: vec4<f32>,
     clips: array<ClipBox, 8>,
     // Shadow maps of the suns that cast shadows.
-    sun_maps: array<SunMap, 4>,
+    map_records: array<ShadowMap, 4>,
 }
 
 @group(0) @binding(0) var<uniform> frames: array<Frame, 16>;

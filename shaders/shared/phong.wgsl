@@ -3,12 +3,18 @@
 //!include ENVIRONMENT
 //!include shared/physical
 //!include shared/tone
+// Kinds of lights, see `Light` in src/scene/mod.rs.
+const LIGHT_AMBIENT: u32 = 0u;
+const LIGHT_HEAD: u32 = 1u;
+const LIGHT_SUN: u32 = 2u;
+const LIGHT_POINT: u32 = 3u;
+const LIGHT_SURROUNDINGS: u32 = 4u;
+
 struct Light {
-    // 0 ambient, 1 headlight, 2 sun, 3 point, 4 surroundings.
     kind: u32,
     // Distance at which a point light has lost half.
     range: f32,
-    // Number of its shadow map, counted from 1; 0 for lights without one.
+    // Its number among the suns, or the point lights, that cast shadows, counted from 1; 0 for lights that cast none.
     map: u32,
     unused: u32,
     // Linear, intensity included.
@@ -63,8 +69,8 @@ fn light_at(i: u32) -> Light {
 fn arriving(light: Light, place: vec3<f32>, to_eye: vec3<f32>) -> vec4<f32> {
     let sun = vec4<f32>(-light.place_hi.xyz, 1.0);
     let head = vec4<f32>(to_eye, 1.0);
-    if !POINT_LIGHTS || light.kind != 3u {
-        return select(head, sun, light.kind == 2u);
+    if !POINT_LIGHTS || light.kind != LIGHT_POINT {
+        return select(head, sun, light.kind == LIGHT_SUN);
     }
     let d = (light.place_hi.xyz - frame.eye_hi.xyz) + (light.place_lo.xyz - frame.eye_lo.xyz) - place;
     let distance = length(d);
@@ -74,7 +80,7 @@ fn arriving(light: Light, place: vec3<f32>, to_eye: vec3<f32>) -> vec4<f32> {
 
 // Whether light comes from all directions alike. That of surroundings does where their image is left out.
 fn is_ambient(light: Light) -> bool {
-    return light.kind == 0u || light.kind == 4u;
+    return light.kind == LIGHT_AMBIENT || light.kind == LIGHT_SURROUNDINGS;
 }
 
 // The share of a light that is not kept away as ambient light.
@@ -110,7 +116,7 @@ fn reflected_environment(albedo: vec3<f32>, material: Material, n: vec3<f32>, to
 }
 
 fn phong(light: Light, albedo: vec3<f32>, material: Material, n: vec3<f32>, place: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
-    if ENVIRONMENT && light.kind == 4u {
+    if ENVIRONMENT && light.kind == LIGHT_SURROUNDINGS {
         return reflected_environment(albedo, material, n, to_eye) * arriving_ambient(light);
     }
     let l = arriving(light, place, to_eye);
@@ -152,7 +158,7 @@ fn all_lights(albedo: vec3<f32>, material: Material, n: vec3<f32>, place: vec3<f
 // Light from a surface that looks everywhere, as the mean over the visible half of a ball: the phase function of a Lambertian sphere
 // (Schönberg 1929) over π. A ball reflects highlights alike in all directions.
 fn phong_ball(light: Light, albedo: vec3<f32>, material: Material, place: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
-    if ENVIRONMENT && light.kind == 4u {
+    if ENVIRONMENT && light.kind == LIGHT_SURROUNDINGS {
         let is_physical = PHYSICAL && (material.flags & MATERIAL_PHYSICAL) != 0u;
         let own = select(albedo, reflected_by_ball(albedo, material), is_physical);
         return own * environment_at(to_eye, BALL_SEEN) * arriving_ambient(light);

@@ -73,10 +73,11 @@ fn paint_of(slot: SplatSlot, shared_paint: PaintSlot, sample: u32) -> Paint {
 // smaller than a pixel, or where so many overlap that weights had to be made smaller.
 const LIGHT: f32 = 256.0;
 
-// The addend before rounding down: a half, and of light weights anything up to 1, by sample and pixel, so that sums are right on the average. It
-// does not depend on the view: a camera that hardly moves changes hardly any pixel.
+// The addend before rounding down: a half, and of light weights anything up to 1, by sample and pixel of the image, so that sums are right on the
+// average. It does not depend on the camera, which may move without changing pixels, nor on the frame's place among those drawn with it.
 fn carry_of(weight: f32, pixel: u32, key: u32) -> f32 {
+    let own = pixel - frame.first_pixel;
     let mixed = (key ^ (key >> 16u)) * 0x7feb352du;
-    let hash = (mixed ^ (mixed >> 15u) ^ (pixel * 0x85ebca6bu)) * 0x9e3779b1u;
+    let hash = (mixed ^ (mixed >> 15u) ^ (own * 0x85ebca6bu)) * 0x9e3779b1u;
     return select(0.5, f32((hash ^ (hash >> 15u)) >> 8u) * 5.9604645e-8, weight < LIGHT);
 }

@@ -4,7 +4,6 @@
 //! Depths must be numbers. A small step must leave the colours of nearly all pixels as they are: only at outlines may a pixel show something else.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::{DQuat, DVec3};
@@ -12,9 +11,7 @@ use serde::Serialize;
 
 use super::sweep::Row;
 use crate::encode::ImageFormat;
-use crate::engine::{
-    EncodedFrame, Engine, EngineError, FrameRequest, FrameTicket, Pose, SceneInfo,
-};
+use crate::engine::{Engine, EngineError, FrameRequest, FrameTicket, Pose, SceneInfo};
 use crate::math::{Camera, Lens};
 use crate::plan::{Output, Settings};
 use crate::scene::random::SplitMix64;
@@ -30,6 +27,8 @@ const CHANGE: u8 = 32;
 const MOST_CHANGED: usize = (SIZE[0] * SIZE[1]) as usize / 100;
 /// Poses with the same settings that are drawn together.
 pub const AT_ONCE: u32 = 16;
+/// Broken views of a scene that are listed.
+const LISTED: usize = 32;
 /// Distances from the scene's middle, in halves of its diagonal; fields of view in degrees. Both are distributed evenly over their logarithms.
 const DISTANCES: [f64; 2] = [0.02, 200.0];
 const FIELDS_DEG: [f64; 2] = [0.02, 170.0];
@@ -53,22 +52,25 @@ pub struct Steadiness {
     pub unsteady: u64,
     /// Settings whose views broke a bound, and how many did.
     pub broken_with: BTreeMap<String, u64>,
-    /// The broken view that changed the most, as it can be asked for.
-    pub worst_broken: Option<Broken>,
+    /// The first views that broke a bound, as they can be asked for.
+    pub broken: Vec<Broken>,
     pub holds: bool,
 }
 
-/// A view whose frame broke a bound.
+/// A view whose frame broke a bound, and the view beside it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Broken {
     pub settings: String,
     pub changed: usize,
+    pub is_finite: bool,
     pub eye: [f64; 3],
     pub target: [f64; 3],
     pub up: [f64; 3],
     /// Degrees, or `None` for a view whose rays are parallel.
     pub fov: Option<f64>,
     pub ortho_height: Option<f64>,
+    pub eye_beside: [f64; 3],
+    pub target_beside: [f64; 3],
 }
 
 /// Random views of a scene with all rows in turn.
@@ -148,7 +150,7 @@ impl Sweep<'_> {
                     .map(|(camera, output)| self.engine.submit(request(*camera, output)))
             })
             .collect();
-        for (camera, tickets) in cameras.iter().zip(tickets) {
+        for ((camera, moved), tickets) in cameras.iter().zip(&moved).zip(tickets) {
             let frames = tickets.map(|ticket| ticket.and_then(FrameTicket::wait));
             let [Ok(first), Ok(second), Ok(depth)] = frames else {
                 let error = frames.into_iter().find_map(Result::err);
@@ -163,18 +165,20 @@ impl Sweep<'_> {
                 *found.refused.entry(error.to_string()).or_default() += 1;
                 continue;
             };
-            found.add(row, camera, [&first, &second, &depth]);
+            let bytes = [&first.bytes, &second.bytes, &depth.bytes].map(|bytes| &bytes[..]);
+            found.add(&row.label, [camera, moved], bytes);
         }
         Ok(())
     }
 }
 
 impl Steadiness {
-    fn add(&mut self, row: &Row, camera: &Camera, [first, second, depth]: [&Arc<EncodedFrame>; 3]) {
+    /// Judges a view and the one beside it, by the bytes of both images and of the first one's depths.
+    fn add(&mut self, settings: &str, views: [&Camera; 2], [first, second, depth]: [&[u8]; 3]) {
         self.views += 1;
         let is_depth = |bytes: &[u8; 4]| f32::from_le_bytes(*bytes) >= 0.0;
-        let is_finite = depth.bytes.as_chunks().0.iter().all(is_depth);
-        let changed = changed(&first.bytes, &second.bytes);
+        let is_finite = depth.as_chunks().0.iter().all(is_depth);
+        let changed = changed(first, second);
         self.not_finite += u64::from(!is_finite);
         self.worst_changed = self.worst_changed.max(changed);
         let is_steady = changed <= self.bound;
@@ -182,16 +186,20 @@ impl Steadiness {
         if is_finite && is_steady {
             return;
         }
-        *self.broken_with.entry(row.label.clone()).or_default() += 1;
-        if self.worst_broken.as_ref().is_none_or(|worst| worst.changed < changed) {
-            self.worst_broken = Some(Broken {
-                settings: row.label.clone(),
+        *self.broken_with.entry(settings.to_owned()).or_default() += 1;
+        if self.broken.len() < LISTED {
+            let [camera, beside] = views;
+            self.broken.push(Broken {
+                settings: settings.to_owned(),
                 changed,
+                is_finite,
                 eye: camera.eye.into(),
                 target: camera.target.into(),
                 up: camera.up.into(),
                 fov: camera.lens.fov_deg(),
                 ortho_height: camera.lens.ortho_height(),
+                eye_beside: beside.eye.into(),
+                target_beside: beside.target.into(),
             });
         }
     }
@@ -268,6 +276,34 @@ mod tests {
         b[1] += 1;
         b[11] = 0;
         assert_eq!(changed(&a, &b), 2);
+    }
+
+    /// A depth that is no number and colours that jump break a bound, each by itself; what is as it should be breaks none.
+    #[test]
+    fn frames_that_break_a_bound_are_found() {
+        let camera = Camera {
+            eye: DVec3::Z,
+            target: DVec3::ZERO,
+            up: DVec3::Y,
+            lens: Lens::Perspective { fov_deg: 40.0 },
+        };
+        let pixels = 4 * MOST_CHANGED;
+        let depths = |odd: f32| [1.5, f32::INFINITY, odd].repeat(pixels / 3);
+        let bytes = |depths: Vec<f32>| depths.into_iter().flat_map(f32::to_le_bytes).collect();
+        let judge = |odd: f32, jumps: usize| {
+            let first = vec![9; 4 * pixels];
+            let mut second = first.clone();
+            second[..4 * jumps].fill(9 + CHANGE + 1);
+            let depth: Vec<u8> = bytes(depths(odd));
+            let mut found = Steadiness { bound: MOST_CHANGED, ..Steadiness::default() };
+            found.add("splats", [&camera, &camera], [&first, &second, &depth]);
+            (found.not_finite, found.unsteady, found.broken.len())
+        };
+        assert_eq!(judge(0.5, MOST_CHANGED), (0, 0, 0));
+        assert_eq!(judge(0.5, MOST_CHANGED + 1), (0, 1, 1));
+        for odd in [f32::NAN, -1.0, f32::NEG_INFINITY] {
+            assert_eq!(judge(odd, 0), (1, 0, 1));
+        }
     }
 
     /// The step moves the middle of the image by a thousandth of a pixel, whatever the lens.

@@ -62,7 +62,7 @@ pub struct SceneInfo {
     /// Names of top-level nodes, as `PATCH` takes them.
     pub nodes: Vec<String>,
     pub lights: usize,
-    /// Suns that cast shadows.
+    /// Lights that cast shadows.
     pub casting_lights: usize,
     /// Whether an image of surroundings lights the scene.
     pub environment: bool,

@@ -16,6 +16,7 @@ use super::sizes::{check_size, drawn_size, frame_limits};
 use super::state::{Adapter, EngineState};
 use super::viewpoint::{clip_region, pose, shown_part};
 use super::{EngineError, FrameRequest};
+use crate::bake::pack::GeometryKind;
 use crate::encode::{self, EncodeError};
 use crate::math::View;
 use crate::passes::{Levels, PAINTED_BYTES, PATCH_BYTES, SLABS_BYTES, Slabs};
@@ -409,6 +410,11 @@ fn decide(
     });
     let pulled = reconstruction.pull_push().filter(|_| has_samples);
     let refused = refused.or_else(|| pulled.and_then(|_| no_pyramid(&request, &adapter)));
+    let outgrow = |view: &View| auto::outgrow(loaded.patches(GeometryKind::Samples), view);
+    let refused = refused.or_else(|| {
+        let too_few = "fewer than eight samples lie along the shorter side of the image";
+        (pulled.is_some() && seen.iter().any(outgrow)).then_some(too_few)
+    });
     // None of them leaves depths of what it draws.
     let composites = facts.translucent && request.output == Output::Color;
     let undecided = (blended.is_some() || pulled.is_some()) && composites;

@@ -73,14 +73,14 @@ pub struct Drawing {
     /// Value that colours surfaces in place of their own colours.
     pub recolor: Option<Recolor>,
     pub clip: Option<ClipRegion>,
-    /// The frames of depths that suns see, where they cast shadows.
+    /// The frames of depths that lights see, where they cast shadows.
     pub shadows: Option<ShadowFrames>,
 }
 
 /// How shadow maps are drawn.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ShadowFrames {
-    /// Views of the maps of all suns that cast shadows; see [`light_views`].
+    /// Views of the maps of all lights that cast shadows; see [`light_views`].
     pub views: Vec<View>,
     pub plan: FramePlan,
     pub reconstruction: Reconstruction,
@@ -166,7 +166,7 @@ impl Drawing {
             return self;
         }
         let views = light_views(lights, bounds, seen, self.settings.shadow_px.get());
-        // Suns see closed surfaces, whatever the frame draws samples as.
+        // Lights see closed surfaces, whatever the frame draws samples as.
         let reconstruction = Reconstruction::new(&Settings::exact(), splats);
         let frame = FrameFacts {
             output: Output::Depth,

@@ -16,6 +16,8 @@ const RIDGE: f64 = 0.52;
 /// Panes along a side, and from the ground to the eaves, the eaves to the ridge, or across a gable's half.
 const ALONG: u32 = 6;
 const UP: u32 = 2;
+/// Where the lamp hangs, for a length of 1.
+const LAMP: DVec3 = DVec3::new(0.0, 0.4, 0.1);
 /// Half the thickness of a bar.
 const BAR: f64 = 0.006;
 
@@ -110,8 +112,33 @@ const BALLS: [(&str, [f64; 3], f64); 6] = [
     ("blue", [0.1, 0.145, 0.41], 0.05),
 ];
 
+/// What lights a greenhouse.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Hour {
+    Noon,
+    /// A lamp hangs below the ridge.
+    Night,
+}
+
+/// The lights and the background, as JSON.
+fn lights(hour: Hour, length: f64) -> String {
+    match hour {
+        Hour::Noon => format!("{SUNSHINE},\n  \"background\": \"#b9cbdd\""),
+        Hour::Night => format!(
+            r##"  "lights": [
+    {{ "kind": "point", "position": {}, "range": {}, "color": "#ffd9a0", "intensity": 1.6, "shadows": true, "radius": {} }},
+    {{ "kind": "ambient", "color": "#8ea4d0", "intensity": 0.06 }}
+  ],
+  "background": "#0b1020""##,
+            vector(LAMP * length),
+            0.25 * length,
+            0.01 * length
+        ),
+    }
+}
+
 /// A scene of a greenhouse of a length.
-pub fn glasshouse(name: &str, length: f64, seed: u64) -> GeneratedScene {
+pub fn glasshouse(name: &str, length: f64, seed: u64, hour: Hour) -> GeneratedScene {
     let [panes, bars] = house(length);
     let assets = [
         ("panes", panes),
@@ -157,9 +184,10 @@ pub fn glasshouse(name: &str, length: f64, seed: u64) -> GeneratedScene {
         max: DVec3::new(HALF, RIDGE, 0.5) * length,
     };
     let json = format!(
-        "{{\n  \"pointillist\": 1,\n  \"name\": \"{name}\",\n  \"assets\": {{\n{}\n  }},\n  \"nodes\": [\n{}\n  ],\n{SUNSHINE},\n  \"background\": \"#b9cbdd\",\n{},\n{},\n{}\n}}\n",
+        "{{\n  \"pointillist\": 1,\n  \"name\": \"{name}\",\n  \"assets\": {{\n{}\n  }},\n  \"nodes\": [\n{}\n  ],\n{},\n{},\n{},\n{}\n}}\n",
         listed.join(",\n"),
         nodes.join(",\n"),
+        lights(hour, length),
         subject(&shown),
         cameras(&poses),
         path("around", &keys)

@@ -27,6 +27,8 @@ pub use error::GenerateError;
 pub use trees::Form;
 pub use write::write;
 
+use glasshouse::Hour;
+
 use crate::assets::{EnvironmentImage, Material, Mesh, PointCloud, Polylines, Progress, Texture};
 
 /// Kinds of assets and scenes that can be generated.
@@ -54,6 +56,8 @@ pub enum Kind {
     Grove,
     /// Scene of a greenhouse: translucent panes, plants behind them, and balls of glass
     Glasshouse,
+    /// The same greenhouse at night, with a lamp in it
+    GlasshouseNight,
     /// Scene of balls of plastic, metal, varnish and embers, and of a lantern with maps
     Materials,
     /// Neurons with tapering branches: lines with radii, colours and types
@@ -80,7 +84,7 @@ impl Kind {
         match self {
             Kind::Town | Kind::Statue | Kind::Checkerboard | Kind::CsgPart => &["points", "size"],
             Kind::Relief | Kind::Textured | Kind::Sphere => &["triangles", "size"],
-            Kind::Plaza | Kind::Cube | Kind::Glasshouse => &["size"],
+            Kind::Plaza | Kind::Cube | Kind::Glasshouse | Kind::GlasshouseNight => &["size"],
             Kind::Hard | Kind::Materials => &[],
             Kind::Tree | Kind::Grove => &["triangles", "size", "count", "form"],
             Kind::Neurons | Kind::Tracts => &["count", "size"],
@@ -224,7 +228,10 @@ pub fn generate(
         }
         Kind::Tree => tree(parameters, progress)?,
         Kind::Grove => Generated::Scene(grove("grove", parameters, progress)?),
-        Kind::Glasshouse => Generated::Scene(greenhouse("glasshouse", parameters)?),
+        Kind::Glasshouse => Generated::Scene(greenhouse("glasshouse", parameters, Hour::Noon)?),
+        Kind::GlasshouseNight => {
+            Generated::Scene(greenhouse("glasshouse-night", parameters, Hour::Night)?)
+        }
         Kind::Materials => Generated::Scene(materials::materials("materials")),
         Kind::Neurons => {
             let count = within("count", count, 20, 1, 1_000_000)? as usize;
@@ -268,7 +275,10 @@ pub fn generate_scene(
         return Ok(scenes::plaza(name, count, parameters.seed, progress));
     }
     if kind == Kind::Glasshouse {
-        return greenhouse(name, parameters);
+        return greenhouse(name, parameters, Hour::Noon);
+    }
+    if kind == Kind::GlasshouseNight {
+        return greenhouse(name, parameters, Hour::Night);
     }
     if kind == Kind::Materials {
         return Ok(materials::materials(name));
@@ -318,9 +328,13 @@ fn grove(
     Ok(scenes::grove(name, tree(parameters, progress)?, height))
 }
 
-fn greenhouse(name: &str, parameters: &Parameters) -> Result<GeneratedScene, GenerateError> {
+fn greenhouse(
+    name: &str,
+    parameters: &Parameters,
+    hour: Hour,
+) -> Result<GeneratedScene, GenerateError> {
     let length = within("size", parameters.size, glasshouse::LENGTH, 1e-3, 1e6)?;
-    Ok(glasshouse::glasshouse(name, length, parameters.seed))
+    Ok(glasshouse::glasshouse(name, length, parameters.seed, hour))
 }
 
 fn machined_part(name: &str, parameters: &Parameters) -> Result<GeneratedScene, GenerateError> {

@@ -9,7 +9,7 @@ const PLAIN: Parameters =
     Parameters { seed: 1, points: None, triangles: None, size: None, count: None, form: None };
 
 /// The committed scenes and their parameters.
-const COMMITTED: [(Kind, &str, Parameters); 8] = [
+const COMMITTED: [(Kind, &str, Parameters); 9] = [
     (Kind::Town, "town", Parameters { points: Some(165_000), size: Some(64.0), ..PLAIN }),
     (Kind::Relief, "relief", Parameters { triangles: Some(36_000), ..PLAIN }),
     (Kind::Textured, "textured", Parameters { triangles: Some(8_000), ..PLAIN }),
@@ -17,6 +17,7 @@ const COMMITTED: [(Kind, &str, Parameters); 8] = [
     (Kind::Plaza, "plaza", PLAIN),
     (Kind::Neurons, "neurons", Parameters { count: Some(4), ..PLAIN }),
     (Kind::Glasshouse, "glasshouse", PLAIN),
+    (Kind::GlasshouseNight, "glasshouse-night", PLAIN),
     (Kind::Materials, "materials", PLAIN),
 ];
 
@@ -55,7 +56,7 @@ fn committed_scenes_are_valid() {
         let expected = match name {
             "plaza" => 1600 * 11,
             // Seven plants and six balls share four assets.
-            "glasshouse" => scene.assets.len() as u64 + 9,
+            "glasshouse" | "glasshouse-night" => scene.assets.len() as u64 + 9,
             // Twelve balls share an asset.
             "materials" => scene.assets.len() as u64 + 11,
             // The other assets are operands of this one.

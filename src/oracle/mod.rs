@@ -13,7 +13,7 @@
 //!    `paint` lays them over each other instead, where that is asked for.
 //!    `pull_push` fills the gaps between samples of one pixel from coarser levels of the image instead, where that is asked for.
 //! 3. `surface`: colour (`texture` included), normal and material where the ray meets the winner.
-//! 4. `shade`: under lights and surroundings (`environment`), Phong's model, that of physical materials (`physical`), or the colour as it is. `tone` maps light to what can be shown. `shadow` finds out what share of a sun a place sees, where suns cast shadows, and what share of its surroundings
+//! 4. `shade`: under lights and surroundings (`environment`), Phong's model, that of physical materials (`physical`), or the colour as it is. `tone` maps light to what can be shown. `shadow` finds out what share of a light a place sees, where lights cast shadows, and what share of its surroundings
 //!    is open to ambient light. (`occlusion` estimates that from an image, as the renderer does.)
 //! 5. `edl`: eye-dome lighting, where it is asked for.
 //! 6. `fog`: what fog leaves of all that, and of the background, where the scene has some.
@@ -79,7 +79,7 @@ pub struct OracleScene<'a> {
     pub items: Vec<OracleItem<'a>>,
     /// None leave every colour as it is.
     pub lights: &'a [Light],
-    /// Whether suns that cast shadows do so; they shine through everything where this is false.
+    /// Whether lights that cast shadows do so; they shine through everything where this is false.
     pub shadows: bool,
     /// Linear RGB and straight alpha of pixels that nothing covers.
     pub background: [f32; 4],

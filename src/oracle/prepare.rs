@@ -58,13 +58,11 @@ impl<'a> Prepared<'a> {
         prepared
     }
 
-    /// The share of a light, 0 to 1, that reaches the place of a surface: less than 1 only for suns that cast shadows.
-    pub fn sunlight(&self, surface: &Surface, light: &Light) -> f64 {
-        match (&self.occluders, *light) {
-            (Some(occluders), Light::Sun { direction, shadows: Some(angle_deg), .. })
-                if self.scene.shadows =>
-            {
-                occluders.share(self, surface, (direction, angle_deg))
+    /// The share of a light, 0 to 1, that reaches the place of a surface: less than 1 only for lights that cast shadows.
+    pub fn lit_share(&self, surface: &Surface, light: &Light) -> f64 {
+        match (&self.occluders, light.casting()) {
+            (Some(occluders), Some(casting)) if self.scene.shadows => {
+                occluders.share(self, surface, casting)
             }
             _ => 1.0,
         }

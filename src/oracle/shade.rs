@@ -1,4 +1,4 @@
-//! Phong's model and that of physical materials with ambient, head, sun and point lights. Only suns cast shadows.
+//! Phong's model and that of physical materials with ambient, head, sun and point lights. Suns and point lights cast shadows.
 
 use glam::DVec3;
 
@@ -62,7 +62,7 @@ pub fn shade(surface: &Surface, prepared: &Prepared<'_>, eye: DVec3) -> [f64; 3]
             Light::Surroundings { .. } => continue,
             Light::Headlight { color } => (to_eye, (color, 1.0)),
             Light::Sun { direction, color, .. } => (-direction, (color, 1.0)),
-            Light::Point { position, color, range } => {
+            Light::Point { position, color, range, .. } => {
                 let offset = position - eye - surface.position_from_eye;
                 let falloff = 1.0 / (1.0 + (offset.length() / range).powi(2));
                 (offset, (color, falloff))
@@ -78,7 +78,7 @@ pub fn shade(surface: &Surface, prepared: &Prepared<'_>, eye: DVec3) -> [f64; 3]
             LitAs::Line(tangent) => line(tangent, to_light, to_eye, surface.shininess),
         };
         if facing > 0.0 {
-            let strength = color.1 * prepared.sunlight(surface, light);
+            let strength = color.1 * prepared.lit_share(surface, light);
             add(&mut sum, color.0, strength, |channel| {
                 let albedo = surface.albedo[channel];
                 reflection.map_or(albedo * facing + surface.specular[channel] * highlight, |own| {

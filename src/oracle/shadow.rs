@@ -1,7 +1,7 @@
-//! Shadows of suns: the share of a sun's disc that is seen from a lit place.
+//! Shadows of suns and lamps: the share of a sun's disc, or of a lamp's ball, that is seen from a lit place.
 //!
 //! [`Occluders`] holds everything opaque that casts a shadow, whether the eye sees it or not, in a hierarchy of balls. [`Occluders::share`] sends rays from
-//! the lit place to points of the sun's disc and counts those that reach it.
+//! the lit place to points of the disc and counts those that reach it. A lamp's ball is seen as the disc through its middle that faces the lit place.
 //!
 //! - *Triangles* cast shadows from both sides, and where their material cuts holes by alpha, only where it is opaque. The texture's finest level says
 //!   where. Translucent triangles cast none.
@@ -31,7 +31,7 @@ use glam::DVec3;
 
 use crate::assets::{Clip, Geometry, PointCloud};
 use crate::math::{Tube, View};
-use crate::scene::Light;
+use crate::scene::{Casting, Light};
 
 use super::lines::{self, TrueSegment};
 use super::prepare::{Prepared, PreparedItem};
@@ -39,7 +39,7 @@ use super::splats::{camera_from_view, clip, normal, tangents};
 use super::surface::{Surface, is_cut_out_at};
 use super::visibility::Hit;
 
-/// Rays to a sun that has a size. Across the penumbra of a straight edge the share is wrong by 0.015 at most.
+/// Rays to a light that has a size. Across the penumbra of a straight edge the share is wrong by 0.015 at most.
 const RAYS: u32 = 256;
 
 /// Angle between neighbouring points of a Vogel spiral, in radians.
@@ -99,7 +99,7 @@ struct Cone {
 }
 
 impl Occluders {
-    /// `None` where the scene has neither ambient occlusion nor shadows of a sun.
+    /// `None` where the scene has neither ambient occlusion nor shadows.
     pub fn of(prepared: &Prepared<'_>, view: &View) -> Option<Occluders> {
         let scene = prepared.scene;
         let casts = scene.shadows && scene.lights.iter().any(Light::casts_shadows);
@@ -139,19 +139,24 @@ impl Occluders {
         Some(Occluders { root, eye: view.eye, extent })
     }
 
-    /// The share, 0 to 1, of the disc of a sun that the place of a surface sees. `direction`: the light's; `angle_deg`: the disc's diameter.
-    pub fn share(
-        &self,
-        prepared: &Prepared<'_>,
-        surface: &Surface,
-        (direction, angle_deg): (DVec3, f64),
-    ) -> f64 {
-        let (Some(root), Some(axis)) = (&self.root, (-direction).try_normalize()) else {
+    /// The share, 0 to 1, of a light that the place of a surface sees.
+    pub fn share(&self, prepared: &Prepared<'_>, surface: &Surface, casting: Casting) -> f64 {
+        let apex = surface.position_from_eye;
+        // The way to the light, the tangent of half the angle that it is seen under, and the distance of its disc.
+        let (to_light, tangent, distance) = match casting {
+            Casting::Sun { direction, angle_deg } => {
+                (-direction, (0.5 * angle_deg.to_radians()).tan(), f64::INFINITY)
+            }
+            Casting::Lamp { position, radius } => {
+                let way = position - self.eye - apex;
+                (way, radius / way.length(), way.length())
+            }
+        };
+        let (Some(root), Some(axis)) = (&self.root, to_light.try_normalize()) else {
             return 1.0;
         };
-        let apex = surface.position_from_eye;
         let nearest = (1e-6 * apex.length() + 1e-9 * self.extent).max(surface.thickness);
-        let half = 0.5 * angle_deg.to_radians();
+        let half = tangent.atan();
         let all = Cone { apex, axis, sine: half.sin(), cosine: half.cos() };
         if !root.any(&all, &mut |_| true) {
             return 1.0;
@@ -159,12 +164,13 @@ impl Occluders {
         let rays = if half > 0.0 { RAYS } else { 1 };
         let (right, up) = axis.any_orthonormal_pair();
         let is_free = |ray: &u32| {
-            let out = half.tan() * ((f64::from(*ray) + 0.5) / f64::from(rays)).sqrt();
+            let out = tangent * ((f64::from(*ray) + 0.5) / f64::from(rays)).sqrt();
             let (sine, cosine) = (f64::from(*ray) * GOLDEN_ANGLE).sin_cos();
             let way = (axis + (right * cosine + up * sine) * out) / 1f64.hypot(out);
             let ray = Cone { apex, axis: way, sine: 0.0, cosine: 1.0 };
+            let farthest = distance * 1f64.hypot(out);
             !root.any(&ray, &mut |occluder| {
-                self.hides(prepared, occluder, (apex, way), [nearest, f64::INFINITY])
+                self.hides(prepared, occluder, (apex, way), [nearest, farthest])
             })
         };
         (0..rays).filter(is_free).count() as f64 / f64::from(rays)

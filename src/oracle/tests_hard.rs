@@ -95,7 +95,7 @@ proptest! {
         };
         let lights = [
             Light::Headlight { color: [1.0; 3] },
-            Light::Point { position: DVec3::ZERO, color: [1.0; 3], range: 1.0 },
+            Light::Point { position: DVec3::ZERO, color: [1.0; 3], range: 1.0, shadows: None },
         ];
         let items = vec![place_item(&solid), place_item(&cloud)];
         let lights = if lit { &lights[..] } else { &[] };

@@ -211,7 +211,7 @@ fn phong_by_hand() {
     near(lit(&[sun(1.0)], tilted, 0.5), [0.0, 0.0, 0.0, 1.0]);
     // A lamp three away beside the sample, range 3: half is left.
     let position = DVec3::new(4.0, 0.0, -2.0);
-    let lamp = Light::Point { position, color: [2.0; 3], range: 3.0 };
+    let lamp = Light::Point { position, color: [2.0; 3], range: 3.0, shadows: None };
     near(lit(&[lamp], tilted, 0.5), expected);
     // Ambient adds, and there is no light but it where no other light is.
     let ambient = Light::Ambient { color: [0.5, 0.25, 1.0] };

@@ -1,4 +1,4 @@
-//! Shadows of suns against closed forms.
+//! Shadows of suns and lamps against closed forms.
 
 use glam::{DVec2, DVec3, Vec2};
 
@@ -39,7 +39,7 @@ fn shares(scene: &OracleScene<'_>, eye: DVec3, places: &[DVec3]) -> Vec<f64> {
         let position = view.to_view(place);
         let material = Material::default();
         let surface = surface::surface([1.0; 4], (&view, position), DVec3::Y, &material);
-        prepared.sunlight(&surface, &scene.lights[0])
+        prepared.lit_share(&surface, &scene.lights[0])
     };
     places.iter().map(share).collect()
 }
@@ -101,6 +101,54 @@ fn the_penumbra_of_an_edge_has_the_profile_of_the_suns_disc() {
         }
         assert!(sum / (steps.len() as f64) < 0.005, "{sum}");
         assert!(found.windows(2).all(|pair| pair[0] <= pair[1]));
+    }
+}
+
+fn lamp(position: DVec3, radius: f64) -> [Light; 1] {
+    [Light::Point { position, color: [1.0; 3], range: 10.0, shadows: Some(radius) }]
+}
+
+/// A lamp at a height of 3 over a square at a height of 2 triples the square. What is above the lamp casts nothing onto the ground.
+#[test]
+fn a_lamp_magnifies_shadows_by_similar_triangles() {
+    for base in [DVec3::ZERO, UTM] {
+        let at = |y: f64| base + DVec3::new(0.3, y, -5.0);
+        let (plane, caster, above) = (
+            ground(base),
+            Geometry::Mesh(square(at(2.0))),
+            Geometry::Mesh(quad(at(3.5), DVec3::X * 9.0, DVec3::NEG_Z * 9.0)),
+        );
+        let lights = lamp(at(3.0), 0.0);
+        let items = vec![item(&plane), item(&caster), item(&above)];
+        let lit = OracleScene { lights: &lights, ..scene(items) };
+        let offsets = [-9.0, -3.0001, -2.9999, -1.0, 0.2, 2.9999, 3.0001, 4.0];
+        let places = offsets.iter().flat_map(|&x| offsets.map(|z| at(0.0) + DVec3::new(x, 0.0, z)));
+        let places: Vec<DVec3> = places.collect();
+        let found = shares(&lit, base + DVec3::new(0.0, 2.5, 0.5), &places);
+        for (place, share) in places.iter().zip(found) {
+            let away = (*place - at(0.0)).abs();
+            let is_inside = away.x < 3.0 && away.z < 3.0;
+            assert_eq!(share, if is_inside { 0.0 } else { 1.0 }, "{away} at {base}");
+        }
+    }
+}
+
+/// Below an edge half way up to a lamp, the penumbra is as wide as the lamp.
+#[test]
+fn the_penumbra_of_a_lamp_has_the_profile_of_its_disc() {
+    let plane = ground(DVec3::ZERO);
+    let (height, radius) = (400.0, 0.5);
+    let lights = lamp(DVec3::new(0.0, height, -5.0), radius);
+    let edge = DVec3::new(0.0, 0.5 * height, -5.0);
+    let half = quad(edge - DVec3::X * 20.0, DVec3::X * 20.0, DVec3::NEG_Z * 20.0);
+    let caster = Geometry::Mesh(half);
+    let lit = OracleScene { lights: &lights, ..scene(vec![item(&plane), item(&caster)]) };
+    let steps: Vec<f64> = (-12..=12).map(|i| f64::from(i) / 10.0).collect();
+    let found = shares_along_x(&lit, &steps.iter().map(|a| a * radius).collect::<Vec<_>>());
+    for (step, share) in steps.iter().zip(found) {
+        let a = step.clamp(-1.0, 1.0);
+        let expected = 0.5 + (a * (1.0 - a * a).sqrt() + a.asin()) / std::f64::consts::PI;
+        assert!((share - expected).abs() < 0.02, "{step}: {share} instead of {expected}");
     }
 }
 

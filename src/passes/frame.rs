@@ -5,10 +5,11 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3, Vec3};
 
 use super::fog;
-use super::shadow::{Shadows, sun_maps};
+use super::shadow::{Shadows, map_records};
 use super::slabs::Slabs;
 use crate::math::View;
 use crate::plan::detail::point_error_px;
+use crate::plan::shadow::LAMP_MAPS;
 use crate::plan::{ErrorMode, FramePlan, Output, Pass, Reconstruction};
 use crate::residency::layout::{GpuClipBox, GpuFrame, two_floats};
 use crate::residency::model::{Extent, SceneModel};
@@ -16,7 +17,7 @@ use crate::residency::{GROUP, ResidentScene};
 use crate::scene::clipping::{ClipRegion, MOST_BOXES, Side};
 use crate::scene::fields::SceneField;
 use crate::scene::recolor::{MOST_COLORS, Recolor, share};
-use crate::scene::{AmbientOcclusion, EyeDome, Fog, Shading, Tone};
+use crate::scene::{AmbientOcclusion, Casting, EyeDome, Fog, Light, Shading, Tone};
 
 /// Frames of one scene that are drawn together: the model (resident already), where it is seen from, what is wanted.
 #[derive(Clone)]
@@ -80,7 +81,7 @@ pub struct FrameTask {
     pub paint_capacity: u32,
     /// Launches in which they are painted.
     pub paint_launches: u32,
-    /// Shadow maps, where suns cast shadows.
+    /// Shadow maps, where lights cast shadows.
     pub shadows: Option<Shadows>,
     /// Translucent surfaces are left out: they hide no sun.
     pub opaque_only: bool,
@@ -152,8 +153,17 @@ impl FrameTask {
 
     /// Number of shadow maps of each sun that casts shadows; 0 where none does.
     pub fn maps_per_sun(&self) -> u32 {
-        let suns = self.model.lights.iter().filter(|light| light.casts_shadows()).count();
-        self.shadows.as_ref().map_or(0, |shadows| (shadows.tasks.len() / suns.max(1)) as u32)
+        let casting = || self.model.lights.iter().filter_map(Light::casting);
+        let suns = casting().filter(|of| matches!(of, Casting::Sun { .. })).count();
+        let lamps = casting().count() - suns;
+        let maps = |shadows: &Shadows| shadows.tasks.len().saturating_sub(lamps * LAMP_MAPS);
+        self.shadows.as_ref().map_or(0, |shadows| (maps(shadows) / suns.max(1)) as u32)
+    }
+
+    /// Whether a point light casts shadows.
+    pub fn has_lamp_maps(&self) -> bool {
+        let is_lamp = |light: &Light| matches!(light.casting(), Some(Casting::Lamp { .. }));
+        self.shadows.is_some() && self.model.lights.iter().any(is_lamp)
     }
 
     /// Whether surfaces that are drawn before translucent ones are opaque.
@@ -307,7 +317,7 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         fog: task.fog.map_or([0.0; 4], |fog| fog::light(&fog)),
         fog_up: task.fog.map_or([0.0; 4], |fog| fog::heights(&fog, view)),
         clips: task.clip.map_or_else(Default::default, |clip| clip_records(&clip, view)),
-        sun_maps: sun_maps(task, view, focus),
+        map_records: map_records(task, view, focus),
     }
 }
 

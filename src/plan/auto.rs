@@ -6,6 +6,9 @@
 //!
 //! Where samples lie [`WIDE_PX`] apart and more and cover much of the picture, pull-push closes the surface sooner than splats do: splats touch each of
 //! their pixels about eleven times, and pull-push has a fixed cost for each pixel. `docs/pull-push.md` has the times.
+//!
+//! Pull-push knows of samples beside the image no more than its border has pixels for. [`outgrow`] tells where so few samples lie in the image that those beside
+//! it decide what it shows.
 
 use crate::bake::spacing::Patch;
 use crate::math::View;
@@ -20,6 +23,9 @@ pub const DENSE_PX: f64 = 0.6;
 const DENSE_SHARE: f64 = 0.9;
 /// Samples that lie farther apart, in pixels, are drawn by pull-push.
 const WIDE_PX: f64 = 8.0;
+/// Least number of samples along the image's shorter side from which pull-push reconstructs a surface. With a quarter of it, the step of a thousandth of a pixel
+/// changed whole images, when a sample moved to another pixel of the border; see `docs/pull-push.md`.
+const LEAST_ALONG: f64 = 8.0;
 /// Share of the picture that they have to cover.
 const WIDE_SHARE: f64 = 0.25;
 /// Farther apart, samples cover no more of the picture: strays in an empty sky do not decide how the rest is drawn.
@@ -42,6 +48,8 @@ pub struct Grounds {
     pub parts: u32,
     /// Share of the picture that samples cover, as [`covered_share`] tells.
     pub covered: f64,
+    /// Samples lie too far apart for pull-push, as [`outgrow`] tells.
+    pub outgrow: bool,
     /// Settings of splats are those of the scene, and no kernel has clip lines.
     pub are_splats_plain: bool,
     /// Error that `lod=spt` may have.
@@ -118,8 +126,10 @@ pub fn choose(grounds: &Grounds) -> Choice {
     let parts = f64::from(grounds.parts);
     let coarse = grounds.lod == Lod::Spt && parts * f64::from(grounds.accepted_px) > COARSE_PX;
     // The look of a surface stays the same with antialiasing.
-    let is_wide =
-        |px: f64| px > WIDE_PX && grounds.covered >= WIDE_SHARE && grounds.are_splats_plain;
+    let is_wide = |px: f64| {
+        let may_pull = !grounds.outgrow && grounds.are_splats_plain;
+        px > WIDE_PX && grounds.covered >= WIDE_SHARE && may_pull
+    };
     let (reconstruct, reason) = match grounds.spacing_px {
         _ if !grounds.has_samples => (Reconstruct::Points, Reason::NoSamples),
         _ if grounds.has_point_size => (Reconstruct::Points, Reason::PointSize),
@@ -160,6 +170,13 @@ pub fn spacing_px(patches: &[Patch], view: &View) -> Option<f64> {
         sum >= dense
     });
     reached.map(|(px, _)| *px)
+}
+
+/// Whether samples lie so far apart that pull-push cannot reconstruct the image from those in it: fewer than [`LEAST_ALONG`] along its shorter side, or none.
+/// Scenes without samples of their own have patches of none: nodes of their point trees lie about a pixel apart.
+pub fn outgrow(patches: &[Patch], view: &View) -> bool {
+    let widest_px = f64::from(view.width.min(view.height)) / LEAST_ALONG;
+    !patches.is_empty() && spacing_px(patches, view).is_none_or(|px| px > widest_px)
 }
 
 /// Returns the share of a picture that samples cover, each a square of its spacing; 1 at most.
@@ -227,6 +244,7 @@ mod tests {
             has_samples: true,
             spacing_px,
             covered: 1.0,
+            outgrow: false,
             are_splats_plain: true,
             accepted_px: 1.0,
             has_kernels: true,
@@ -313,12 +331,26 @@ mod tests {
         for other in [
             Grounds { covered: 0.2, ..wide },
             Grounds { are_splats_plain: false, ..wide },
+            Grounds { outgrow: true, ..wide },
             Grounds { spacing_px: Some(7.9), ..wide },
         ] {
             assert_eq!(drawn(&other), (Reconstruct::Splats, Reason::Sparse), "{other:?}");
         }
         let fine = Grounds { accepted_px: 1.0, ..coarse };
         assert_eq!(drawn(&fine), (Reconstruct::Points, Reason::Dense));
+    }
+
+    /// Images with fewer samples along a side than pull-push needs, and those between samples, are told from all others, whatever their size.
+    #[test]
+    fn sparse_images_outgrow_pull_push() {
+        let near = |spacing: f64| [patch(DVec3::ZERO, spacing)];
+        for height in [64, 1024] {
+            // The image is as high as the distance.
+            let of = |patches: &[Patch]| outgrow(patches, &view(2.0, height));
+            assert!(!of(&near(0.24)) && of(&near(0.26)), "{height}");
+            assert!(of(&[patch(DVec3::X * 50.0, 0.01)]), "nothing in view");
+            assert!(!of(&[]), "a scene of meshes");
+        }
     }
 
     #[test]

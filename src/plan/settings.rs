@@ -299,11 +299,11 @@ settings! {
         label: "Light", kind: SettingKind::scenes::<Shading>(), needs: [PASSES],
         useful_with: [SAMPLES, THREE_PASSES, COLORS, Rule::new("blend", &["weighted"], ""), LIT], trades: Trade::variant()
     }
-    /// Whether suns cast the shadows that the scene asks for.
+    /// Whether suns and point lights cast the shadows that the scene asks for.
     shadows: Shadows => Shadows {
         label: "Shadows", kind: SettingKind::own::<Shadows>(), needs: [], useful_with: [COLORS, CASTING], trades: Trade::variant()
     }
-    /// Side in pixels of the square that a sun's shadow maps take; the next smaller one where the maps of all suns would have more pixels than a
+    /// Side in pixels of the square that a light's shadow maps take; the next smaller one where the maps of all lights would have more pixels than a
     /// frame may have. Smaller pixels of a map give sharper edges.
     shadow_px: ShadowPx => ShadowPx {
         label: "Shadow map", kind: SettingKind::own::<ShadowPx>(), needs: [SHADOWS], useful_with: [COLORS, CASTING], trades: Trade::variant()

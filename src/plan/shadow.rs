@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec2, DVec3};
 
 use crate::math::{Bounds, Projection, View};
-use crate::scene::{Light, MOST_CASTING_LIGHTS};
+use crate::scene::{Casting, Light, MOST_CASTING_LIGHTS};
 
 /// The part of a map's side by which its place is rounded: while a camera moves within it, the map stays the same.
 const STEPS: f64 = 8.0;
@@ -13,23 +13,60 @@ const SIZES: f64 = 4.0;
 /// far ones (Zhang et al. 2006, "Parallel-split shadow maps").
 const DEEPER: f64 = 5.0;
 
-/// Views of the maps of all suns that cast shadows, in the order of the lights; a sun's maps follow each other, that of the nearest part of the
-/// view first. Every sun has as many maps. What any of `views` may show of a scene within `bounds` is covered, and depths are positive for everything in the scene.
+/// Maps of a lamp: the sides of a cube around it.
+pub const LAMP_MAPS: usize = 6;
+/// Side of a lamp's map, as a share of the side of the square that all of a light's maps take.
+const LAMP_SIDE: f64 = 0.4;
+/// Pixels of a lamp's map beyond each edge of the cube's side, so that a place near the edge finds its surroundings in one map.
+const LAMP_MARGIN_PX: f64 = 50.0;
+
+/// Views of the maps of all lights that cast shadows: those of suns, then those of lamps, each in the order of the lights. A sun's maps follow each other, that
+/// of the nearest part of the view first, and every sun has as many. What any of `views` may show of a scene within `bounds` is covered, and depths are positive
+/// for everything in the scene. A lamp has [`LAMP_MAPS`], whatever the view, along the axes of the world: +x, −x, +y, −y, +z, −z.
 ///
-/// A sun's maps have at most `side` × `side` pixels in all. Sizes and places are rounded, so that frames from neighbouring poses share
+/// A light's maps have at most `side` × `side` pixels in all. Sizes and places are rounded, so that frames from neighbouring poses share
 /// maps, and their pixels do not crawl along the edges of shadows.
 pub fn light_views(lights: &[Light], bounds: &Bounds, views: &[View], side: u32) -> Vec<View> {
-    let casting = lights.iter().filter_map(Light::casting);
-    let suns: Vec<DVec3> = casting.map(|(direction, _)| direction).collect();
-    let ranges = depth_ranges(bounds, views, MOST_CASTING_LIGHTS / suns.len().max(1));
-    let side = if ranges.len() == 1 { side } else { side / 2 };
-    let maps = |&sun: &DVec3| {
+    let (mut suns, mut lamps) = (vec![], vec![]);
+    for casting in lights.iter().filter_map(Light::casting) {
+        match casting {
+            Casting::Sun { direction, .. } => suns.push(direction),
+            Casting::Lamp { position, .. } => lamps.push(position),
+        }
+    }
+    let records = MOST_CASTING_LIGHTS - lamps.len();
+    let ranges = depth_ranges(bounds, views, records / suns.len().max(1));
+    let sun_side = if ranges.len() == 1 { side } else { side / 2 };
+    let sun_maps = |&sun: &DVec3| {
         let parts = ranges.iter().map(|&range| {
             views.iter().flat_map(|view| visible_corners(view, range)).collect::<Vec<_>>()
         });
-        parts.map(move |part| light_view(sun, bounds, &part, side)).collect::<Vec<_>>()
+        parts.map(move |part| sun_view(sun, bounds, &part, sun_side)).collect::<Vec<_>>()
     };
-    suns.iter().flat_map(maps).collect()
+    let lamp_maps = lamps.iter().flat_map(|&lamp| lamp_views(lamp, bounds, side));
+    suns.iter().flat_map(sun_maps).chain(lamp_maps).collect()
+}
+
+/// The views of a lamp's maps. Of the axes, the one that is looked along is followed by the others in turn: x by y and z, y by z and x, z by x and y.
+fn lamp_views(lamp: DVec3, bounds: &Bounds, side: u32) -> [View; LAMP_MAPS] {
+    let side = (LAMP_SIDE * f64::from(side)) as u32;
+    std::array::from_fn(|number| {
+        let axis = |further: usize| DVec3::AXES[(number / 2 + further) % 3];
+        let (right, up, backward) = match number % 2 {
+            0 => (axis(2), axis(1), -axis(0)),
+            _ => (axis(1), axis(2), axis(0)),
+        };
+        View {
+            eye: lamp,
+            view_from_world: DMat3::from_cols(right, up, backward).transpose(),
+            projection: Projection::Perspective,
+            focus: 0.5 * (bounds.max - bounds.min).length(),
+            focal_px: DVec2::splat(0.5 * f64::from(side) - LAMP_MARGIN_PX),
+            principal_px: DVec2::splat(0.5 * f64::from(side)),
+            width: side,
+            height: side,
+        }
+    })
 }
 
 /// Ranges of depths of at most `most` maps, the nearest first.
@@ -48,7 +85,7 @@ fn depth_ranges(bounds: &Bounds, views: &[View], most: usize) -> Vec<[f64; 2]> {
     (0..=times).map(|map| [if map == 0 { near } else { end(map - 1) }, end(map)]).collect()
 }
 
-fn light_view(direction: DVec3, bounds: &Bounds, part: &[DVec3], side: u32) -> View {
+fn sun_view(direction: DVec3, bounds: &Bounds, part: &[DVec3], side: u32) -> View {
     let right = direction.any_orthonormal_vector();
     let view_from_world = DMat3::from_cols(right, right.cross(direction), -direction).transpose();
     let in_light =
@@ -208,6 +245,51 @@ mod tests {
                 }
             }
         }
+    }
+
+    /// Every direction from a lamp lies in the map of the axis that it is nearest to, away from its border.
+    #[test]
+    fn maps_of_a_lamp_show_all_directions() {
+        let bounds = Bounds { min: DVec3::splat(-9.0), max: DVec3::splat(9.0) };
+        let position = DVec3::new(1.0, 2.0, -3.0);
+        let lamp = Light::Point { position, color: [1.0; 3], range: 1.0, shadows: Some(0.0) };
+        let eye = camera(DVec3::splat(9.0), DVec3::ZERO, 40.0);
+        let lights = [lamp, sun(DVec3::NEG_Y), lamp];
+        for side in [512, 2048] {
+            let views = light_views(&lights, &bounds, &[eye], side);
+            let maps = &views[views.len() - LAMP_MAPS..];
+            assert!(views[0].is_orthographic() && maps[0].eye == position);
+            let pixels: u32 = maps.iter().map(|map| map.width * map.height).sum();
+            assert!(pixels <= side * side);
+            for way in (0..2000).map(|i| {
+                let z = 1.0 - (f64::from(i) + 0.5) / 1000.0;
+                let (sine, cosine) = (2.4 * f64::from(i)).sin_cos();
+                (DVec2::new(cosine, sine) * (1.0 - z * z).sqrt()).extend(z)
+            }) {
+                let axis = way.abs().max_position();
+                let map = &maps[2 * axis + usize::from(way[axis] < 0.0)];
+                assert!((map.view_from_world.determinant() - 1.0).abs() < 1e-12);
+                let place = map.to_view(position + 5.0 * way);
+                assert!((-place.z - 5.0 * way[axis].abs()).abs() < 1e-12);
+                let pixel = map.project(place).unwrap();
+                let last = f64::from(map.width) - LAMP_MARGIN_PX + 1e-9;
+                assert!(pixel.min_element() > LAMP_MARGIN_PX - 1e-9 && pixel.max_element() < last);
+            }
+        }
+    }
+
+    /// Lamps leave suns fewer maps.
+    #[test]
+    fn suns_and_lamps_share_records() {
+        let bounds =
+            Bounds { min: DVec3::new(-150.0, 0.0, -150.0), max: DVec3::new(150.0, 9.0, 150.0) };
+        let within = camera(DVec3::new(0.0, 1.7, 0.0), DVec3::new(0.0, 1.6, -9.0), 50.0);
+        let lamp =
+            Light::Point { position: DVec3::Y, color: [1.0; 3], range: 1.0, shadows: Some(0.0) };
+        let count = |lights: &[Light]| light_views(lights, &bounds, &[within], 2048).len();
+        assert_eq!(count(&[sun(DVec3::NEG_Y), lamp]), 3 + LAMP_MAPS);
+        assert_eq!(count(&[sun(DVec3::NEG_Y), lamp, lamp, lamp]), 1 + 3 * LAMP_MAPS);
+        assert_eq!(count(&[lamp; 4]), 4 * LAMP_MAPS);
     }
 
     #[test]

@@ -98,7 +98,7 @@ pub(crate) use pass_table;
 /// Part of a frame. Stages follow each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
-    /// Draws the scene as the suns see it. The other stages are those of such a frame as well.
+    /// Draws the scene as the lights see it. The other stages are those of such a frame as well.
     Shadows,
     /// Selects the visible chunks, and computes the map from each chunk to the image.
     Select,

@@ -260,10 +260,10 @@ pub struct GpuClipBox {
     pub high: [f32; 4],
 }
 
-/// A sun's shadow map; see `SunMap` in `shaders/shared/frame.wgsl`.
+/// A sun's shadow map, or those of a lamp; see `ShadowMap` in `shaders/shared/frame.wgsl`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
-pub struct GpuSunMap {
+pub struct GpuShadowMap {
     pub x: [f32; 4],
     pub y: [f32; 4],
     pub depth: [f32; 4],
@@ -332,7 +332,7 @@ pub struct GpuFrame {
     pub fog: [f32; 4],
     pub fog_up: [f32; 4],
     pub clips: [GpuClipBox; MOST_BOXES],
-    pub sun_maps: [GpuSunMap; MOST_CASTING_LIGHTS],
+    pub map_records: [GpuShadowMap; MOST_CASTING_LIGHTS],
 }
 
 /// An f64 as the sum of two f32: 48 bits of mantissa.

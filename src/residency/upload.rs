@@ -18,7 +18,7 @@ use crate::bake::pack::{PackedChunk, PackedGeometry, Sides};
 use crate::bake::tree::SORTED;
 use crate::gpu::Gpu;
 use crate::gpu::buffer::Buffer;
-use crate::scene::{Light, MaterialSpec};
+use crate::scene::{Casting, Light, MaterialSpec};
 
 /// A material of an asset whose textures begin at `texture_start`.
 pub(super) fn gpu_material(material: &Material, texture_start: u32) -> GpuMaterial {
@@ -101,13 +101,20 @@ fn gpu_override(spec: &MaterialSpec) -> GpuMaterial {
 }
 
 fn gpu_lights(lights: &[Light]) -> Vec<GpuLight> {
-    let mut maps = 0;
-    let numbered = |light: &Light| {
-        maps += u32::from(light.casts_shadows());
-        let map = if light.casts_shadows() { maps } else { 0 };
+    let (mut suns, mut lamps) = (0, 0);
+    let mut numbered = |light: &Light| {
+        let count = match light.casting() {
+            Some(Casting::Sun { .. }) => Some(&mut suns),
+            Some(Casting::Lamp { .. }) => Some(&mut lamps),
+            None => None,
+        };
+        let map = count.map_or(0, |count| {
+            *count += 1;
+            *count
+        });
         GpuLight { map, ..gpu_light(light) }
     };
-    lights.iter().map(numbered).collect()
+    lights.iter().map(&mut numbered).collect()
 }
 
 fn gpu_light(light: &Light) -> GpuLight {
@@ -127,7 +134,7 @@ fn gpu_light(light: &Light) -> GpuLight {
                 ..Default::default()
             }
         }
-        Light::Point { position, color, range } => {
+        Light::Point { position, color, range, .. } => {
             let split = position.to_array().map(two_floats);
             GpuLight {
                 kind: 3,

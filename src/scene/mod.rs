@@ -210,7 +210,18 @@ pub enum Light {
         position: DVec3,
         color: [f32; 3],
         range: f64,
+        /// The radius of the ball that shines, where the light casts shadows: their edges are as wide as it makes them.
+        shadows: Option<f64>,
     },
+}
+
+/// What decides the shadows that a light casts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Casting {
+    /// Parallel light along `direction`, from a disc with an angular diameter in degrees.
+    Sun { direction: DVec3, angle_deg: f64 },
+    /// Light from a ball.
+    Lamp { position: DVec3, radius: f64 },
 }
 
 impl Light {
@@ -220,11 +231,14 @@ impl Light {
         [Light::Headlight { color: [0.63; 3] }, Light::Ambient { color: [0.07; 3] }]
     }
 
-    /// Direction and angular diameter in degrees of a sun that casts shadows.
-    pub fn casting(&self) -> Option<(DVec3, f64)> {
+    /// The shadows that it casts; `None` where it casts none.
+    pub fn casting(&self) -> Option<Casting> {
         match *self {
             Light::Sun { direction, shadows, .. } => {
-                shadows.map(|angle_deg| (direction, angle_deg))
+                shadows.map(|angle_deg| Casting::Sun { direction, angle_deg })
+            }
+            Light::Point { position, shadows, .. } => {
+                shadows.map(|radius| Casting::Lamp { position, radius })
             }
             _ => None,
         }

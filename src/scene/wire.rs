@@ -328,13 +328,16 @@ pub(super) struct LightWire {
     /// Distance at which half of a point light is left.
     #[serde(default)]
     pub range: Option<f64>,
-    /// Whether a sun casts shadows, false when absent.
+    /// Whether a sun or a point light casts shadows, false when absent.
     #[serde(default)]
     pub shadows: Option<bool>,
     /// Angular diameter in degrees of a sun that casts shadows, 0 to 20; 0.53, that of the sun seen from the Earth, when absent. The larger it is, the softer
     /// are the shadows' edges; with 0 they are hard.
     #[serde(default)]
     pub angle: Option<f64>,
+    /// Radius in scene units of a point light that casts shadows, 0 when absent. The larger it is, the softer are the shadows' edges.
+    #[serde(default)]
+    pub radius: Option<f64>,
 }
 
 #[derive(Debug, serde::Deserialize, JsonSchema)]

@@ -1,9 +1,11 @@
 //! Equal requests give equal bytes.
 
 use pointillist::encode::ImageFormat;
-use pointillist::plan::Output;
+use pointillist::engine::FrameRequest;
+use pointillist::plan::{Lod, Output, Reconstruct, Settings};
+use serde_json::json;
 
-use super::studio::{OUTPUTS, Studio, front, orbit, same};
+use super::studio::{OUTPUTS, Studio, disk_sphere, disks, front, orbit, same};
 
 /// Requests with different sizes, scenes, poses, outputs and formats.
 fn mixed() -> Vec<pointillist::engine::FrameRequest> {
@@ -64,6 +66,54 @@ fn a_batch_changes_no_frame() {
             }
         }
         assert!(largest >= 6, "batches of {largest} at most");
+    }
+}
+
+/// Frames of one kind share passes, each as a view of its own. What is rounded at random must not know which of them it is.
+#[test]
+fn views_that_share_passes_change_no_frame() {
+    let studio = Studio::new();
+    studio.write("ball.ply", disks(&disk_sphere(4000, 0.03, |_| [200, 120, 60])));
+    let scene = json!({
+        "assets": { "a": { "file": "ball.ply" } },
+        "nodes": [{ "asset": "a" }],
+        "cameras": { "front": { "eye": [0, 0, 3], "target": [0, 0, 0] } },
+    });
+    studio.load_json("ball", &scene);
+    for reconstruct in [
+        Reconstruct::Points,
+        Reconstruct::Splats,
+        Reconstruct::Fuzzy,
+        Reconstruct::Painted,
+        Reconstruct::PullPush,
+    ] {
+        // Near enough for splats of many pixels, and so far that they are small parts of one.
+        for side in [96, 24] {
+            let requests: Vec<FrameRequest> = (0..8)
+                .map(|number| {
+                    let request = orbit("ball", number, side);
+                    let settings = Settings { reconstruct, lod: Lod::Full, ..request.settings };
+                    FrameRequest { settings, ..request }
+                })
+                .collect();
+            let alone: Vec<Vec<u8>> = requests.iter().map(|of| studio.bytes(of)).collect();
+            let mut largest = 0;
+            for _ in 0..20 {
+                let busy = studio.keep_busy("ball");
+                let tickets: Vec<_> = requests.iter().map(|of| studio.submit(of)).collect();
+                for (ticket, bytes) in tickets.into_iter().zip(&alone) {
+                    let frame = ticket.wait().unwrap();
+                    largest = largest.max(frame.receipt.batch_size);
+                    same(&frame.bytes, bytes, &format!("{reconstruct:?}, {side} px"));
+                }
+                drop(busy);
+                if largest >= 4 {
+                    break;
+                }
+            }
+            // Painted frames are drawn one by one.
+            assert!(largest >= 4 || reconstruct == Reconstruct::Painted, "{reconstruct:?}");
+        }
     }
 }
 

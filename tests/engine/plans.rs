@@ -9,7 +9,11 @@ use pointillist::plan::{Edl, Effect, Settings, Shadows};
 use super::studio::{Studio, front};
 
 /// Scenes and the passes of their default view at default settings.
-const SHIPPED: [(&str, &str); 8] = [
+const SHIPPED: [(&str, &str); 9] = [
+    (
+        "glasshouse-night",
+        "shadow_map clear place cull scan compact project_triangles walk_triangles resolve_triangles project_triangles_layers walk_triangles_layers resolve_triangles_layers composite_layers",
+    ),
     (
         "glasshouse",
         "shadow_map clear place cull scan compact project_triangles walk_triangles resolve_triangles project_triangles_layers walk_triangles_layers resolve_triangles_layers composite_layers",

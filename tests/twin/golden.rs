@@ -114,6 +114,11 @@ fn glasshouse() {
 }
 
 #[test]
+fn glasshouse_night() {
+    compare("glasshouse-night", &["corner", "inside"]);
+}
+
+#[test]
 fn plaza() {
     compare("plaza", &["walk", "assembly"]);
 }

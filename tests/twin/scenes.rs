@@ -53,6 +53,13 @@ fn glasshouse() {
     check("glasshouse", &["corner", "bench", "inside", "through"], &tolerance);
 }
 
+/// The same under a lamp. `shadows` compares what it casts.
+#[test]
+fn glasshouse_night() {
+    let tolerance = Tolerance { unless_noise: true, ..Tolerance::default() };
+    check("glasshouse-night", &["corner", "inside"], &tolerance);
+}
+
 /// Thin lines are drawn by their keys, in other pixels than the reference; here they are three pixels wide.
 #[test]
 fn neurons() {

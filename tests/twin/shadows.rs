@@ -1,4 +1,4 @@
-//! Shadow maps against the oracle's rays to the sun.
+//! Shadow maps against the oracle's rays to suns and lamps.
 //!
 //! A map has pixels, and takes places at their middles: the edge of a shadow may lie a pixel of the map beside its true place. Away from edges, a place is
 //! in the shadow or not, and both agree. How many pixels differ is therefore bounded by the length of the edges.
@@ -306,4 +306,87 @@ fn thin_poles_on_a_large_ground_cast_shadows() {
     let files = [("l.vtk", file), ("floor.ply", floor(300.0, -1.0).ply())];
     let case = Case::new("shadow-poles", &files, &scene);
     check(&case, &look([0.4, 1.6, 4.2], [-0.4, -0.8, -0.4], 50.0), splats(), 60);
+}
+
+fn lamp(position: [f64; 3], color: &str, radius: f64) -> Value {
+    json!({
+        "kind": "point", "position": position, "color": color, "range": 4, "intensity": 0.9,
+        "shadows": true, "radius": radius,
+    })
+}
+
+/// The inside of a box of six units, with balls around its middle: towards the sides, the edges and the corners of the cube that a lamp's maps are.
+fn room(name: &str, origin: DVec3, lights: Value) -> Case {
+    let mut walls = Shape::default();
+    for axis in 0..3 {
+        let (u, v, n) =
+            (DVec3::AXES[(axis + 1) % 3], DVec3::AXES[(axis + 2) % 3], DVec3::AXES[axis]);
+        for (u, v, n) in [(u, v, -n), (v, u, n)] {
+            walls.add(&Shape::quad(origin + 3.0 * (n - u - v), 6.0 * u, 6.0 * v, 1.0));
+        }
+    }
+    walls.uvs.clear();
+    walls.colors = vec![[200, 200, 190, 255]; walls.positions.len()];
+    let mut balls = Shape::default();
+    for way in [
+        [1.0, 0.2, 0.1],
+        [-1.0, -0.1, 0.3],
+        [0.1, 1.0, -0.2],
+        [-0.3, -1.0, 0.1],
+        [0.2, 0.1, 1.0],
+        [0.1, -0.3, -1.0],
+        [1.0, 1.0, 0.1],
+        [-1.0, 0.0, 1.0],
+        [0.2, -1.0, -1.0],
+        [1.0, -1.0, 1.0],
+        [-1.0, 1.0, -1.0],
+    ] {
+        let way = DVec3::from(way).normalize_or_zero();
+        balls.add(&Shape::ball(16, 0.25).moved(origin + 1.2 * way));
+    }
+    let scene = json!({
+        "assets": { "walls": { "file": "walls.ply" }, "balls": { "file": "balls.ply" } },
+        "nodes": [{ "asset": "walls" }, { "name": "balls", "asset": "balls" }],
+        "lights": lights,
+    });
+    Case::new(name, &[("walls.ply", walls.ply()), ("balls.ply", balls.ply())], &scene)
+}
+
+/// Shadows in all directions from a lamp, and across the edges between its maps, near the origin and at coordinates of a survey.
+#[test]
+fn lamps_cast_shadows_all_around() {
+    let far = DVec3::new(412_000.0, 5_652_000.0, 100.0);
+    for (name, origin, radius) in
+        [("lamp-hard", DVec3::ZERO, 0.0), ("lamp-soft", DVec3::ZERO, 0.12), ("lamp-far", far, 0.0)]
+    {
+        let position = (origin + DVec3::new(0.1, -0.05, 0.08)).to_array();
+        let lights =
+            json!([{ "kind": "ambient", "intensity": 0.1 }, lamp(position, "#ffffff", radius)]);
+        let case = room(name, origin, lights);
+        let at = |place: [f64; 3]| (origin + DVec3::from(place)).to_array();
+        for eye in [[2.7, 0.4, 2.6], [-2.6, 2.0, -1.2], [0.3, -2.4, 2.8]] {
+            check(&case, &look(at(eye), at([0.0, 0.0, 0.0]), 90.0), splats(), 150);
+        }
+    }
+}
+
+/// Suns and lamps have maps of their own, and lamps those of an earlier frame wherever the camera goes.
+#[test]
+fn suns_and_lamps_cast_shadows_together() {
+    let lights = json!([
+        lamp([0.9, 1.6, 1.4], "#ff5050", 0.0),
+        { "kind": "sun", "direction": [-0.6, -1, -0.4], "color": "#5050ff", "intensity": 0.5, "shadows": true, "angle": 0 },
+        { "kind": "point", "position": [2, 2, 2], "range": 1, "intensity": 0.2 },
+        lamp([-1.8, 0.9, 0.6], "#50ff50", 0.0),
+    ]);
+    let file = ("ball.ply", Shape::ball(24, 0.7).ply());
+    let case = over_floor("shadow-lamps", file, json!({ "file": "ball.ply" }), lights);
+    check(&case, &look([0.4, 2.4, 4.6], [0.0, -0.6, 0.0], 55.0), splats(), 120);
+    let only = json!([lamp([0.9, 1.6, 1.4], "#ffffff", 0.05)]);
+    let file = ("ball.ply", ball(4000, 5).ply());
+    let case = over_floor("shadow-lamp-kept", file, json!({ "file": "ball.ply" }), only);
+    let first = check(&case, &look([0.4, 1.4, 4.6], [0.0, -0.4, 0.0], 55.0), splats(), 60);
+    assert!(maps(&first.receipt).is_ok());
+    let aside = case.draw_wide(&look([-3.4, 1.4, -2.6], [0.0, -0.4, 0.0], 55.0), splats());
+    assert_eq!(maps(&aside.receipt), Err(USED_AGAIN.to_owned()));
 }

@@ -35,16 +35,16 @@ static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
         if file.extension().is_some_and(|kind| kind == "json") {
             let text = std::fs::read_to_string(&file).unwrap();
             let name = file.file_name().unwrap().to_str().unwrap();
-            // The oracle's rays to a sun would take minutes; `shadows` has scenes of its own.
+            // The oracle's rays to lights would take minutes; `shadows` has scenes of its own.
             // So would its rays for ambient occlusion, which `occlusion` has scenes for.
-            let plain: String = text
-                .replace(r#", "shadows": true, "angle": 6"#, "")
-                .replace(r#", "shadows": true"#, "")
-                .lines()
-                .filter(|line| !line.contains("ambient_occlusion"))
-                .flat_map(|line| [line, "\n"])
-                .collect();
-            std::fs::write(folder.join(name), plain).unwrap();
+            let mut plain: Value = serde_json::from_str(&text).unwrap();
+            plain.as_object_mut().unwrap().remove("ambient_occlusion");
+            for light in plain["lights"].as_array_mut().into_iter().flatten() {
+                for key in ["shadows", "angle", "radius"] {
+                    light.as_object_mut().unwrap().remove(key);
+                }
+            }
+            std::fs::write(folder.join(name), plain.to_string()).unwrap();
             std::fs::write(folder.join(format!("{AS_SHIPPED}{name}")), text).unwrap();
         } else if file.is_file() {
             let to = folder.join(file.file_name().unwrap());

@@ -45,8 +45,9 @@ pub fn light_constants(recorder: &Recorder) -> Constants {
         ("FEW_LIGHTS", if lights > FEW_LIGHTS { 0 } else { lights }),
     ];
     constants.extend(tone_constants(recorder));
-    if let maps @ 1.. = recorder.task.maps_per_sun() {
-        constants.push(("SUN_MAPS", maps));
+    if recorder.task.shadows.is_some() {
+        constants.push(("SUN_MAPS", recorder.task.maps_per_sun()));
+        constants.push(("LAMP_MAPS", u32::from(recorder.task.has_lamp_maps())));
     }
     constants
 }

@@ -1,4 +1,4 @@
-//! Shadow maps: depths of the scene as its suns see it, which the passes that compute light compare places with.
+//! Shadow maps: depths of the scene as its lights see it, which the passes that compute light compare places with.
 //!
 //! A map is an ordinary frame of depths, with a plan of its own. Maps depend on no pixel of the frames that use them: neighbouring poses share them, and
 //! [`ShadowMaps`] keeps those that were drawn last.
@@ -9,15 +9,18 @@ use std::cell::RefCell;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use glam::DVec3;
+
 use super::frame::FrameTask;
 use crate::gpu::Gpu;
 use crate::gpu::bind::BindCache;
 use crate::gpu::buffer::Buffer;
 use crate::math::View;
+use crate::plan::shadow::LAMP_MAPS;
 use crate::plan::{FramePlan, Reconstruction};
-use crate::residency::layout::{GpuStats, GpuSunMap};
+use crate::residency::layout::{GpuShadowMap, GpuStats};
 use crate::scene::clipping::ClipRegion;
-use crate::scene::{Light, MOST_CASTING_LIGHTS};
+use crate::scene::{Casting, Light, MOST_CASTING_LIGHTS};
 
 /// Weight of a splat of a map where its kernel is 1: sums of depths have room for 32 times as many splats as those of colours.
 pub const MAP_WEIGHT: f32 = 1024.0;
@@ -74,7 +77,7 @@ pub struct MapKey {
     pub clip: Option<ClipRegion>,
 }
 
-/// The maps of all suns, one behind the other, and what drawing them counted.
+/// The maps of all lights, one behind the other, and what drawing them counted.
 pub struct MapSet {
     pub maps: Buffer,
     pub stats: Buffer,
@@ -174,35 +177,59 @@ fn pixels(view: &View) -> u64 {
     u64::from(view.width) * u64::from(view.height)
 }
 
-/// The records of a view's maps.
-pub fn sun_maps(task: &FrameTask, view: &View, focus: f64) -> [GpuSunMap; MOST_CASTING_LIGHTS] {
-    let mut records = [GpuSunMap::default(); MOST_CASTING_LIGHTS];
+/// The records of a view's maps: one for each map of a sun, from the first on, and one for each lamp, from the last back.
+pub fn map_records(
+    task: &FrameTask,
+    view: &View,
+    focus: f64,
+) -> [GpuShadowMap; MOST_CASTING_LIGHTS] {
+    let mut records = [GpuShadowMap::default(); MOST_CASTING_LIGHTS];
     let Some(shadows) = &task.shadows else { return records };
-    let maps = task.maps_per_sun() as usize;
-    let lights = task.model.lights.iter();
-    let angles = lights
-        .filter_map(Light::casting)
-        .flat_map(|(_, angle_deg)| std::iter::repeat_n(angle_deg, maps));
+    let maps: Vec<&View> = shadows.tasks.iter().filter_map(|map| map.views.first()).collect();
+    let first = |map: usize| maps[..map].iter().map(|map| pixels(map) as u32).sum();
     let axes = view.view_from_world.transpose();
     let origin = view.eye - axes.z_axis * focus;
-    let mut first = 0;
-    for ((record, map), angle) in records.iter_mut().zip(&shadows.tasks).zip(angles) {
-        let Some(map) = map.views.first() else { continue };
-        let axes = map.view_from_world.transpose();
-        let offset = origin - map.eye;
-        let row = |axis: glam::DVec3, scale: f64, add: f64| {
-            (axis * scale).extend(axis.dot(offset) * scale + add).as_vec4().to_array()
-        };
-        *record = GpuSunMap {
-            x: row(axes.x_axis, map.focal_px.x, map.principal_px.x),
-            y: row(-axes.y_axis, map.focal_px.y, map.principal_px.y),
-            depth: row(-axes.z_axis, 1.0, 0.0),
-            pixel: (1.0 / map.focal_px.x) as f32,
-            spread: (0.5 * angle).to_radians().tan() as f32,
-            side: map.width,
-            first,
-        };
-        first += pixels(map) as u32;
+    let (mut next, mut lamps) = (0, MOST_CASTING_LIGHTS);
+    let per_sun = task.maps_per_sun() as usize;
+    for casting in task.model.lights.iter().filter_map(Light::casting) {
+        let Casting::Sun { angle_deg, .. } = casting else { continue };
+        let spread = (0.5 * angle_deg).to_radians().tan() as f32;
+        for (place, map) in maps.iter().enumerate().skip(next).take(per_sun) {
+            records[place] =
+                GpuShadowMap { spread, first: first(place), ..sun_record(map, origin) };
+        }
+        next += per_sun;
+    }
+    for casting in task.model.lights.iter().filter_map(Light::casting) {
+        let Casting::Lamp { radius, .. } = casting else { continue };
+        lamps -= 1;
+        if let Some(map) = maps.get(next) {
+            records[lamps] = GpuShadowMap {
+                pixel: (1.0 / map.focal_px.x) as f32,
+                spread: radius as f32,
+                side: map.width,
+                first: first(next),
+                ..GpuShadowMap::default()
+            };
+        }
+        next += LAMP_MAPS;
     }
     records
+}
+
+/// The record of a sun's map for places relative to `origin`.
+fn sun_record(map: &View, origin: DVec3) -> GpuShadowMap {
+    let axes = map.view_from_world.transpose();
+    let offset = origin - map.eye;
+    let row = |axis: DVec3, scale: f64, add: f64| {
+        (axis * scale).extend(axis.dot(offset) * scale + add).as_vec4().to_array()
+    };
+    GpuShadowMap {
+        x: row(axes.x_axis, map.focal_px.x, map.principal_px.x),
+        y: row(-axes.y_axis, map.focal_px.y, map.principal_px.y),
+        depth: row(-axes.z_axis, 1.0, 0.0),
+        pixel: (1.0 / map.focal_px.x) as f32,
+        side: map.width,
+        ..GpuShadowMap::default()
+    }
 }

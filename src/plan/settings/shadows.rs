@@ -7,14 +7,14 @@ use utoipa::ToSchema;
 use super::Settings;
 use crate::plan::SceneFacts;
 
-/// Whether suns cast shadows.
+/// Whether lights cast shadows.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema, ValueEnum,
 )]
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
 pub enum Shadows {
-    /// Those of the scene's suns that have `"shadows": true`
+    /// Those of the scene's lights that have `"shadows": true`
     #[default]
     On,
     /// None

@@ -94,7 +94,7 @@ fn records_match_the_shaders() {
         include_str!("../../../shaders/shared/frame.wgsl"),
         &[
             mirror!("ClipBox", GpuClipBox, x, y, z, high),
-            mirror!("SunMap", GpuSunMap, x, y, depth, pixel, spread, side, first),
+            mirror!("ShadowMap", GpuShadowMap, x, y, depth, pixel, spread, side, first),
             mirror!(
                 "Frame",
                 GpuFrame,
@@ -152,7 +152,7 @@ fn records_match_the_shaders() {
                 fog,
                 fog_up,
                 clips,
-                sun_maps
+                map_records
             ),
         ],
     );

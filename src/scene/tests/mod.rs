@@ -253,13 +253,19 @@ fn refusals_beyond_nodes() {
         "lights[0].kind",
         "did you mean `sun`?",
     );
-    top(r#""lights": [{"kind": "ambient", "shadows": true}]"#, "lights[0].shadows", "only a sun");
+    top(r#""lights": [{"kind": "ambient", "shadows": true}]"#, "lights[0].shadows", "only suns");
     let sun = |rest: &str| format!(r#"{{"kind": "sun", "direction": [0, -1, 0]{rest}}}"#);
     let lights = |suns: &[String]| format!(r#""lights": [{}]"#, suns.join(", "));
     top(&lights(&[sun(r#", "angle": 1"#)]), "lights[0].angle", "softens shadows");
     top(&lights(&[sun(r#", "shadows": true, "angle": 21"#)]), "lights[0].angle", "outside 0..=20");
+    let lamp =
+        |rest: &str| format!(r#"{{"kind": "point", "position": [0, 0, 0], "range": 1{rest}}}"#);
+    top(&lights(&[lamp(r#", "radius": 1"#)]), "lights[0].radius", "softens shadows");
+    top(&lights(&[lamp(r#", "shadows": true, "angle": 1"#)]), "lights[0].angle", "only a sun");
+    top(&lights(&[sun(r#", "shadows": true, "radius": 1"#)]), "lights[0].radius", "a point light");
+    top(&lights(&[lamp(r#", "shadows": true, "radius": -1"#)]), "lights[0].radius", "outside");
     let casting = vec![sun(r#", "shadows": true"#); 5];
-    top(&lights(&casting), "lights", "5 suns cast shadows, 4 are possible");
+    top(&lights(&casting), "lights", "5 lights cast shadows, 4 are possible");
     top(r#""lights": [{"kind": "ambient", "range": 1}]"#, "lights[0].range", "a point light");
     top(
         r#""lights": [{"kind": "point", "position": [0,0,0], "range": 0}]"#,

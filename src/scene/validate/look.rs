@@ -89,7 +89,7 @@ pub(super) fn lights(wires: Option<&[Object<LightWire>]>, surrounded: bool) -> V
     let casting = lights.iter().filter(|light| light.casts_shadows()).count();
     if casting > MOST_CASTING_LIGHTS {
         return place
-            .refuse(format!("{casting} suns cast shadows, {MOST_CASTING_LIGHTS} are possible"));
+            .refuse(format!("{casting} lights cast shadows, {MOST_CASTING_LIGHTS} are possible"));
     }
     Ok(lights)
 }
@@ -105,13 +105,18 @@ fn light(wire: &LightWire, place: Place<'_>) -> Valid<Light> {
     only("position", wire.position.is_some(), &[LightKind::Point], "a point light")?;
     only("range", wire.range.is_some(), &[LightKind::Point], "a point light")?;
     let casts = wire.shadows == Some(true);
-    if casts && wire.kind != LightKind::Sun {
-        return place.key("shadows").refuse("only a sun casts shadows");
+    if casts && !matches!(wire.kind, LightKind::Sun | LightKind::Point) {
+        return place.key("shadows").refuse("only suns and point lights cast shadows");
     }
-    if wire.angle.is_some() && !casts {
-        return place
-            .key("angle")
-            .refuse("only a sun with `\"shadows\": true` has one: it softens shadows");
+    for (key, is_given, kind, owner) in [
+        ("angle", wire.angle.is_some(), LightKind::Sun, "a sun"),
+        ("radius", wire.radius.is_some(), LightKind::Point, "a point light"),
+    ] {
+        if is_given && !(casts && wire.kind == kind) {
+            return place.key(key).refuse(format!(
+                "only {owner} with `\"shadows\": true` has one: it softens shadows"
+            ));
+        }
     }
     let angle_deg = within(wire.angle.unwrap_or(SUN_ANGLE_DEG), 0.0, 20.0, place.key("angle"))?;
     let intensity =
@@ -139,10 +144,13 @@ fn light(wire: &LightWire, place: Place<'_>) -> Valid<Light> {
                 return place.refuse("a point light needs `range`, where half of it is left");
             };
             let range = within(range, 1e-9, LARGEST_COORDINATE, place.key("range"))?;
+            let radius = wire.radius.unwrap_or(0.0);
+            let radius = within(radius, 0.0, LARGEST_COORDINATE, place.key("radius"))?;
             Ok(Light::Point {
                 position: coordinates(position, place.key("position"))?,
                 color,
                 range,
+                shadows: casts.then_some(radius),
             })
         }
     }
