@@ -88,10 +88,10 @@ fn ambient_shares(albedo: vec3<f32>, material: Material, n: vec3<f32>, to_eye: v
 }
 
 // The direction from which most of the light comes that a surface mirrors towards the eye: the rougher it is, the nearer to the normal (Lagarde & de
-// Rousiers 2014, listing 21).
+// Rousiers 2014, listing 21). A bent normal that looks away from the eye mirrors what lies straight behind, as at the rim.
 fn mirrored_direction(n: vec3<f32>, to_eye: vec3<f32>, roughness: f32) -> vec3<f32> {
     let smoothness = 1.0 - roughness * roughness;
-    return mix(n, 2.0 * dot(n, to_eye) * n - to_eye, smoothness * (sqrt(smoothness) + 1.0 - smoothness));
+    return mix(n, 2.0 * max(dot(n, to_eye), 0.0) * n - to_eye, smoothness * (sqrt(smoothness) + 1.0 - smoothness));
 }
 
 // By a surface that looks everywhere: without highlights, a metal's colour is that of what it reflects.

@@ -25,7 +25,7 @@ pub const BALL: usize = MIRRORED + 1;
 /// All images.
 pub const IMAGES: usize = MIRRORED + 2;
 /// Roughness of the first image, which is not blurred; as in `shared/physical`.
-const LEAST_ROUGHNESS: f32 = 0.045;
+pub const LEAST_ROUGHNESS: f32 = 0.045;
 
 /// Texels along a side of an image.
 const SMALLEST_SIDE: u32 = 32;

@@ -126,7 +126,7 @@ fn lights(hour: Hour, length: f64) -> String {
         Hour::Noon => format!("{SUNSHINE},\n  \"background\": \"#b9cbdd\""),
         Hour::Night => format!(
             r##"  "lights": [
-    {{ "kind": "point", "position": {}, "range": {}, "color": "#ffd9a0", "intensity": 1.6, "shadows": true, "radius": {} }},
+    {{ "kind": "point", "position": {}, "range": {}, "color": "#ffd9a0", "intensity": 3, "shadows": true, "radius": {} }},
     {{ "kind": "ambient", "color": "#8ea4d0", "intensity": 0.06 }}
   ],
   "background": "#0b1020""##,

@@ -82,11 +82,11 @@ impl Reflection {
     }
 
     /// The direction from which most of the light comes that facets mirror towards the eye: for rough surfaces it is nearer to the normal than that of a mirror
-    /// (Lagarde & de Rousiers 2014, listing 21).
+    /// (Lagarde & de Rousiers 2014, listing 21). A normal that looks away from the eye counts as one at the rim.
     pub fn direction_of_most(&self, normal: DVec3, to_eye: DVec3) -> DVec3 {
         let alpha = self.roughness.clamp(0.0, 1.0).powi(2);
         let share = (1.0 - alpha) * ((1.0 - alpha).sqrt() + alpha);
-        normal.lerp(2.0 * normal.dot(to_eye) * normal - to_eye, share)
+        normal.lerp(2.0 * normal.dot(to_eye).max(0.0) * normal - to_eye, share)
     }
 
     /// Light of one channel under light of 1 from everywhere: what facets mirror once ([`fit`]), and what is scattered, between facets (Fdez-Agüera 2019) or

@@ -2,6 +2,7 @@
 
 use naga::{Expression, Handle, Literal, Module};
 
+use crate::bake::environment::{BALL, LEAST_ROUGHNESS, MIRRORED, SCATTERED};
 use crate::bake::pack::{BEGINS, CHUNK, ENDS, GeometryKind, LINE_WORDS, NO_NORMAL, VERTEX_WORDS};
 use crate::gpu::shader::parse;
 use crate::math::MOST_EXPOSURES;
@@ -21,6 +22,7 @@ use crate::passes::windows::LAYERS;
 use crate::plan::{Output, TURNS};
 use crate::residency::layout::*;
 use crate::residency::{GROUP, PART};
+use crate::scene::MOST_CASTING_LIGHTS;
 
 /// The module of a root, whichever way it is composed.
 fn module(root: &str) -> Module {
@@ -146,6 +148,20 @@ fn slabs_are_as_many() {
     for root in ["reconstruct/fuzzy_splats", "resolve/resolve_fuzzy"] {
         assert_eq!(f64::from(float(&module(root), "SLABS")), SLABS, "{root}");
     }
+}
+
+#[test]
+fn images_of_surroundings_are_those_that_are_made() {
+    let choices = Choices { environment: true, shadows: true, ..Choices::default() };
+    let root = "resolve/resolve_triangles";
+    let triangles = parse(root, &composed(root, &choices).unwrap()).unwrap();
+    for (name, value) in
+        [("MIRRORED_IMAGES", MIRRORED), ("SCATTERED", SCATTERED), ("BALL_SEEN", BALL)]
+    {
+        assert_eq!(scalar(&triangles, name) as usize, value, "{name}");
+    }
+    assert_eq!(float(&triangles, "FIRST_ROUGHNESS"), LEAST_ROUGHNESS);
+    assert_eq!(scalar(&triangles, "RECORDS") as usize, MOST_CASTING_LIGHTS);
 }
 
 #[test]
