@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Redraws the pictures of README.md and docs/lens.md, docs/img/*.png: those of the shipped scenes, of the dragon where scripts/data.sh brought it, and
+# Redraws the pictures of README.md, docs/shadows.md and docs/lens.md, docs/img/*.png: those of the shipped scenes, of the dragon where scripts/data.sh brought it, and
 # of the viewer where Chromium and chromedriver are installed.
 #
 #   scripts/pictures.sh [BINARY]
@@ -19,6 +19,8 @@ draw() { # NAME SCENE [OPTIONS…]
 # At default settings, so that the README shows what a request gets.
 draw town scenes/town.json --camera overview --size 1000x560
 draw plaza scenes/plaza.json --camera assembly --size 1000x560
+# For docs/shadows.md.
+draw night scenes/glasshouse-night.json --camera corner --size 1000x560
 # For docs/lens.md.
 draw lens scenes/plaza.json --camera walk --aperture 0.25 --focus-distance 8 --size 640x360
 if [ -f scenes/data/dragon.json ]; then
