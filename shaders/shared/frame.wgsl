@@ -109,6 +109,8 @@ struct Frame {
     occlusion: vec2<f32>,
     // Height in pixels of the image that the view is a part of, or the view's own.
     image_height: f32,
+    // Added to the keys by which things are drawn with a probability; see `dithered`.
+    dither: f32,
     // Fog: its linear colour, and its density for each unit; the height above its base of a place in camera space, in scale heights, as a product
     // with the first three numbers plus the last.
     fog: vec4<f32>,
@@ -139,6 +141,11 @@ fn begin_view(view: u32) {
     } else {
         frame = frames[0];
     }
+}
+
+// A key of this exposure, from 0 to 1, of what is drawn with a probability: exposures of one frame have different ones.
+fn dithered(key: f32) -> f32 {
+    return fract(key + frame.dither);
 }
 
 fn camera_from_world(v: vec3<f32>) -> vec3<f32> {

@@ -262,7 +262,7 @@ fn strip_key(line: Line, strip: Strip, share: f32, z: f32) -> f32 {
     let parts = exp2(clamp(ceil(log2(max(pixels, 1.0))), 0.0, 22.0));
     let part = u32(clamp(mix(line.range.x, line.range.y, share), 0.0, 1.0) * parts);
     let key = (line.link & LINE_HASH) + line.number * 2447445414u + part * 3242174889u;
-    return f32(key >> 8u) * 5.9604645e-8;
+    return dithered(f32(key >> 8u) * 5.9604645e-8);
 }
 
 // A strip that is all but a pixel wide is whole: rounding errors must leave no pixel out of it.

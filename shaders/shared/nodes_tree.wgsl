@@ -145,7 +145,7 @@ fn is_kept(sample: u32, own: u32, unit: f32, centre: vec3<f32>, seen: f32, drawn
     let around = (own >> 30u) & 3u;
     let left = select(0.2, 0.5, around == 1u);
     let probability = select(1.0 - pow(left, share / (1.0 - left)), share, around == 0u);
-    return f32(mixed(mixed(place.x ^ key) ^ place.y) >> 8u) * 5.9604645e-8 < probability;
+    return dithered(f32(mixed(mixed(place.x ^ key) ^ place.y) >> 8u) * 5.9604645e-8) < probability;
 }
 
 // Nodes of this byte and those above fill the pixel that they are in; FILLS of src/bake/tree/coverage.rs.

@@ -2,8 +2,8 @@
 // that the mean depth of what hides the light gives (Fernando 2005, "Percentage-closer soft shadows").
 @group(0) @binding(11) var<storage, read> shadow_maps: array<f32>;
 
-// Pixels of the map at which what hides the light is looked for, and at which the place is compared.
-const SEARCHED: u32 = 16u;
+// Pixels of the map at which what hides the light is looked for, in each of two patterns, and at which the place is compared.
+const SEARCHED: u32 = 12u;
 const COMPARED: u32 = 24u;
 // Radius of the disc in pixels of the map, at least and at most. Up to the least, a square of three pixels stands for the disc.
 const NARROW_PX: f32 = 1.5;
@@ -65,6 +65,8 @@ struct Seen {
     spread: f32,
     // Its largest radius.
     farthest: f32,
+    // A lamp's disc, which faces the place, is an ellipse in the map: by how much it is longer away from the map's middle, as the root of that in that direction.
+    lean: vec2<f32>,
 }
 
 fn seen_by_sun(light: Light, place: vec3<f32>, n: vec3<f32>, error: f32) -> Seen {
@@ -125,8 +127,13 @@ fn seen_by_lamp(light: Light, place: vec3<f32>, n: vec3<f32>, error: f32) -> See
     seen.value = -1.0 / z - bias_of(map.pixel * z, steepness, z) / (z * z);
     seen.slope = slope * min(1.0, STEEPEST / max(steepness, 1e-6));
     seen.spread = map.spread / map.pixel;
-    // What hides a ball may stand close to it.
-    seen.farthest = select(NARROW_PX, WIDE_PX, map.spread > 0.0);
+    let middle = 0.5 * f32(map.side);
+    let aside = seen.at - vec2<f32>(middle);
+    let longer = length(p) / z - 1.0;
+    seen.lean = aside * (sqrt(longer) / max(length(aside), 1e-6));
+    // What hides a ball may stand close to it. The map has to show it.
+    let border = middle - max(abs(aside.x), abs(aside.y)) - 1.0;
+    seen.farthest = select(NARROW_PX, clamp(border / (1.0 + longer), NARROW_PX, WIDE_PX), map.spread > 0.0);
     return seen;
 }
 
@@ -147,6 +154,11 @@ fn hidden_by(seen: Seen, offset: vec2<f32>) -> f32 {
     let own = seen.value + dot(seen.slope, vec2<f32>(at) + vec2<f32>(0.5) - seen.at);
     // Outside of the map nothing is known to hide the light.
     return select(-1.0, own - hiding, all(at == inside));
+}
+
+// An offset within the disc of the light, as the map shows it.
+fn on_disc(seen: Seen, offset: vec2<f32>) -> vec2<f32> {
+    return offset + seen.lean * dot(seen.lean, offset);
 }
 
 // The share of a square of three pixels of the map around a place in which the light is hidden; it changes evenly with the place.
@@ -178,25 +190,28 @@ fn reaching(light: Light, cosine: f32, place: vec3<f32>, n: vec3<f32>) -> f32 {
         seen = seen_by_sun(light, place, n, error);
     }
 
-    // Radii grow by a factor: thin things near the place are found however far the search goes.
+    // Radii grow by a factor, so that thin things near the place are found however far the search goes; and so that each stands for the same area, so that
+    // little is missed far away.
     let factor = exp2(log2(seen.farthest / NEAREST_PX) / f32(SEARCHED - 1u));
     var radius = NEAREST_PX;
     var turn = vec2<f32>(1.0, 0.0);
     var hiding = 0.0;
     var nearer = 0.0;
     for (var i = 0u; i < SEARCHED; i++) {
-        let by = hidden_by(seen, radius * turn);
-        let is_hiding = by > 0.0 && radius <= max(NARROW_PX, seen.spread * by);
-        let hides = select(0.0, 1.0, is_hiding);
-        hiding += hides;
-        nearer += hides * max(by, 0.0);
+        let wide = seen.farthest * sqrt((f32(i) + 0.5) / f32(SEARCHED));
+        let radii = vec2<f32>(radius, wide);
+        let by = vec2<f32>(hidden_by(seen, on_disc(seen, radius * turn)), hidden_by(seen, on_disc(seen, -wide * turn)));
+        let is_hiding = (by > vec2<f32>(0.0)) & (radii <= max(vec2<f32>(NARROW_PX), seen.spread * by));
+        let hides = select(vec2<f32>(0.0), vec2<f32>(1.0), is_hiding);
+        hiding += hides.x + hides.y;
+        nearer += dot(hides, max(by, vec2<f32>(0.0)));
         radius *= factor;
         turn = vec2<f32>(dot(turn, vec2<f32>(GOLDEN.x, -GOLDEN.y)), dot(turn, GOLDEN.yx));
     }
     if hiding == 0.0 {
         return 1.0;
     }
-    let wide = clamp(seen.spread * (nearer / hiding), NARROW_PX, WIDE_PX);
+    let wide = clamp(seen.spread * (nearer / hiding), NARROW_PX, seen.farthest);
     if wide == NARROW_PX {
         return 1.0 - hidden_in_square(seen);
     }
@@ -204,7 +219,7 @@ fn reaching(light: Light, cosine: f32, place: vec3<f32>, n: vec3<f32>) -> f32 {
     var hidden = 0.0;
     for (var i = 0u; i < COMPARED; i++) {
         let reach = wide * sqrt((f32(i) + 0.5) / f32(COMPARED));
-        hidden += select(0.0, 1.0, hidden_by(seen, reach * turn) > 0.0);
+        hidden += select(0.0, 1.0, hidden_by(seen, on_disc(seen, reach * turn)) > 0.0);
         turn = vec2<f32>(dot(turn, vec2<f32>(GOLDEN.x, -GOLDEN.y)), dot(turn, GOLDEN.yx));
     }
     return 1.0 - hidden / f32(COMPARED);

@@ -79,5 +79,5 @@ fn carry_of(weight: f32, pixel: u32, key: u32) -> f32 {
     let own = pixel - frame.first_pixel;
     let mixed = (key ^ (key >> 16u)) * 0x7feb352du;
     let hash = (mixed ^ (mixed >> 15u) ^ (own * 0x85ebca6bu)) * 0x9e3779b1u;
-    return select(0.5, f32((hash ^ (hash >> 15u)) >> 8u) * 5.9604645e-8, weight < LIGHT);
+    return select(0.5, dithered(f32((hash ^ (hash >> 15u)) >> 8u) * 5.9604645e-8), weight < LIGHT);
 }

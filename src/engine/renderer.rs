@@ -325,17 +325,17 @@ impl Renderer {
         let at_once = if job.shares_dispatches() { self.most_views(job) } else { 1 };
         let rounds = exposures.chunks(at_once).enumerate();
         let rounds = rounds.map(|(number, views)| {
-            let is_first = number == 0;
-            let is_last = number * at_once + views.len() == exposures.len();
+            let first = number * at_once;
+            let is_last = first + views.len() == exposures.len();
             // The first round draws the maps of all.
-            let shadows = task.shadows.clone().map(|shadows| match is_first {
-                true => shadows,
-                false => Shadows { sources: Vec::new(), ..shadows },
+            let shadows = task.shadows.clone().map(|shadows| match first {
+                0 => shadows,
+                _ => Shadows { sources: Vec::new(), ..shadows },
             });
             FrameTask {
                 views: views.iter().map(|view| view.finer(task.parts)).collect(),
                 round: Some(Round {
-                    is_first,
+                    first: first as u32,
                     exposures: is_last.then_some(exposures.len() as u32),
                 }),
                 shadows,

@@ -90,7 +90,8 @@ pub struct FrameTask {
 /// The place of a task among those that draw the exposures of one frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Round {
-    pub is_first: bool,
+    /// Number of the first of its exposures.
+    pub first: u32,
     /// Number of exposures of the frame; given in the last round.
     pub exposures: Option<u32>,
 }
@@ -313,12 +314,21 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         exposure: task.tone.map_or(1.0, |tone| tone.stops.exp2() as f32),
         occlusion: task.occlusion.map_or([0.0; 2], |own| [own.radius as f32, own.strength as f32]),
         image_height: task.image_rows.unwrap_or(view.height) as f32,
-        unused: [0.0; 3],
+        dither: dither(task, number),
+        unused: [0.0; 2],
         fog: task.fog.map_or([0.0; 4], |fog| fog::light(&fog)),
         fog_up: task.fog.map_or([0.0; 4], |fog| fog::heights(&fog, view)),
         clips: task.clip.map_or_else(Default::default, |clip| clip_records(&clip, view)),
         map_records: map_records(task, view, focus),
     }
+}
+
+/// What is added to the keys by which thin lines, small nodes and light weights are drawn with a probability: exposures of one frame draw different ones, evenly
+/// by the golden ratio, so that their mean is what the probability says. 0 for a frame of one exposure.
+fn dither(task: &FrameTask, number: u32) -> f32 {
+    let exposure = task.round.map_or(0, |round| round.first + number);
+    // Nearest below, since 1 would be no key.
+    (f64::from(exposure) * 0.618_033_988_749_895).fract().min(0.999_999) as f32
 }
 
 /// The boxes of a region in a view's camera space.

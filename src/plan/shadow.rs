@@ -17,8 +17,9 @@ const DEEPER: f64 = 5.0;
 pub const LAMP_MAPS: usize = 6;
 /// Side of a lamp's map, as a share of the side of the square that all of a light's maps take.
 const LAMP_SIDE: f64 = 0.4;
-/// Pixels of a lamp's map beyond each edge of the cube's side, so that a place near the edge finds its surroundings in one map.
+/// Pixels of a lamp's map beyond each edge of the cube's side, so that a place near the edge finds its surroundings in one map; at most this share of its side.
 const LAMP_MARGIN_PX: f64 = 50.0;
+const LAMP_MARGIN: f64 = 0.125;
 
 /// Views of the maps of all lights that cast shadows: those of suns, then those of lamps, each in the order of the lights. A sun's maps follow each other, that
 /// of the nearest part of the view first, and every sun has as many. What any of `views` may show of a scene within `bounds` is covered, and depths are positive
@@ -50,6 +51,7 @@ pub fn light_views(lights: &[Light], bounds: &Bounds, views: &[View], side: u32)
 /// The views of a lamp's maps. Of the axes, the one that is looked along is followed by the others in turn: x by y and z, y by z and x, z by x and y.
 fn lamp_views(lamp: DVec3, bounds: &Bounds, side: u32) -> [View; LAMP_MAPS] {
     let side = (LAMP_SIDE * f64::from(side)) as u32;
+    let margin_px = LAMP_MARGIN_PX.min(LAMP_MARGIN * f64::from(side));
     std::array::from_fn(|number| {
         let axis = |further: usize| DVec3::AXES[(number / 2 + further) % 3];
         let (right, up, backward) = match number % 2 {
@@ -61,7 +63,7 @@ fn lamp_views(lamp: DVec3, bounds: &Bounds, side: u32) -> [View; LAMP_MAPS] {
             view_from_world: DMat3::from_cols(right, up, backward).transpose(),
             projection: Projection::Perspective,
             focus: 0.5 * (bounds.max - bounds.min).length(),
-            focal_px: DVec2::splat(0.5 * f64::from(side) - LAMP_MARGIN_PX),
+            focal_px: DVec2::splat(0.5 * f64::from(side) - margin_px),
             principal_px: DVec2::splat(0.5 * f64::from(side)),
             width: side,
             height: side,
@@ -272,8 +274,9 @@ mod tests {
                 let place = map.to_view(position + 5.0 * way);
                 assert!((-place.z - 5.0 * way[axis].abs()).abs() < 1e-12);
                 let pixel = map.project(place).unwrap();
-                let last = f64::from(map.width) - LAMP_MARGIN_PX + 1e-9;
-                assert!(pixel.min_element() > LAMP_MARGIN_PX - 1e-9 && pixel.max_element() < last);
+                let margin = if side == 2048 { LAMP_MARGIN_PX } else { 25.5 };
+                let last = f64::from(map.width) - margin + 1e-9;
+                assert!(pixel.min_element() > margin - 1e-9 && pixel.max_element() < last);
             }
         }
     }

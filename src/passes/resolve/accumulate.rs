@@ -14,7 +14,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
         constants: vec![
             ("PARTS", task.parts),
             ("EXPOSURES", task.count()),
-            ("FIRST", u32::from(round.is_first)),
+            ("FIRST", u32::from(round.first == 0)),
             ("TOTAL", total),
         ],
         segments: &[None],

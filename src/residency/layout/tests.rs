@@ -149,6 +149,7 @@ fn records_match_the_shaders() {
                 exposure,
                 occlusion,
                 image_height,
+                dither,
                 fog,
                 fog_up,
                 clips,
