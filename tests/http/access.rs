@@ -183,7 +183,7 @@ fn addresses_have_rates_and_connections() {
     };
     assert_eq!((status(&daemon, "192.0.2.1"), status(&daemon, "192.0.2.2")), (200, 429));
     let held = [raw(daemon.address, b""), raw(daemon.address, b"")];
-    let request = b"GET /v1/limits HTTP/1.1\r\nHost: localhost\r\n\r\n";
+    let request = b"GET /v1/limits HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n";
     eventually("a refusal", || {
         read_to_close(&mut raw(daemon.address, request)).starts_with("HTTP/1.1 503 ")
     });
