@@ -101,6 +101,13 @@ else
     lacking "haproxy.cfg (no haproxy)"
 fi
 
+# --- Prometheus
+if have promtool; then
+    checked "prometheus-rules.yaml (promtool check rules)" promtool check rules deploy/prometheus-rules.yaml
+else
+    lacking "prometheus-rules.yaml with 'promtool check rules' (no promtool; Debian's package prometheus has it)"
+fi
+
 # --- k6: its own parser where it is there, and the script itself with k6's modules played by a few lines of node
 if have k6; then
     checked "k6.js (k6 inspect)" k6 inspect deploy/k6.js

@@ -7,7 +7,6 @@
 use std::io::IsTerminal;
 use std::net::{SocketAddr, TcpListener, ToSocketAddrs};
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, bail, ensure};
@@ -15,6 +14,7 @@ use clap::{Args, ValueEnum};
 use serde::Deserialize;
 
 use self::claim::claim;
+use self::edge::{edge, passed_socket, reread};
 use self::files::{root, start_scenes};
 use self::greeting::{example, greeting, tell};
 use self::patience::{patience, patiently};
@@ -23,14 +23,15 @@ use super::cache::CacheArgs;
 use super::out::say;
 use crate::assets::ReadOptions;
 use crate::engine::{Engine, EngineConfig, PrimeConfig};
-use crate::http::access::{Access, Reread, parse_keys};
-use crate::http::server::serve;
+use crate::http::access::{Access, keys};
+use crate::http::server::{serve, serve_monitoring};
 use crate::http::{App, Settings, StreamLimits, UploadLimits, WatchLimits};
 use crate::memory::{self, HostMemory};
 use crate::scene::Up;
 use crate::spelling::nearest;
 
 mod claim;
+mod edge;
 mod files;
 mod greeting;
 mod patience;
@@ -135,7 +136,7 @@ pub struct ServeArgs {
     /// Seconds after which a stream is closed if its client sends nothing, or an `mjpeg` if its client reads nothing [default: 60]
     #[arg(long, env = "POINTILLIST_STREAM_IDLE_SECONDS", value_name = "S")]
     pub stream_idle_seconds: Option<u64>,
-    /// File of API keys, one `name scope sha256hex` per line; scopes are read, write and admin
+    /// File of API keys: TOML with limits of each key if its name ends in `.toml`, otherwise one `name scope sha256hex` per line; scopes are read, write and admin
     #[arg(long, env = "POINTILLIST_API_KEYS", value_name = "FILE")]
     pub api_keys: Option<PathBuf>,
     /// Allow a --listen address other than loopback without API keys
@@ -144,6 +145,30 @@ pub struct ServeArgs {
     /// Origin whose pages may read answers (`https://app.example`, or `*`); may be repeated
     #[arg(long, env = "POINTILLIST_CORS_ORIGIN", value_name = "ORIGIN", value_delimiter = ',')]
     pub cors_origin: Vec<String>,
+    /// Address or range of a proxy whose X-Forwarded-For is believed (`10.0.0.0/8`); may be repeated
+    #[arg(long, env = "POINTILLIST_TRUSTED_PROXIES", value_name = "CIDR", value_delimiter = ',')]
+    pub trusted_proxies: Vec<String>,
+    /// Maximum number of requests per second from one address; bursts may last two seconds, further requests are refused with 429 [default: no limit]
+    #[arg(long, env = "POINTILLIST_REQUESTS_PER_SECOND_PER_ADDRESS", value_name = "N")]
+    pub requests_per_second_per_address: Option<f64>,
+    /// Maximum number of open connections from one address (IPv6: from one /64 network); trusted proxies are exempt [default: no limit]
+    #[arg(long, env = "POINTILLIST_MAX_CONNECTIONS_PER_ADDRESS", value_name = "N")]
+    pub max_connections_per_address: Option<usize>,
+    /// Certificates for TLS, in PEM form, the server's own first; needs --tls-key
+    #[arg(long, env = "POINTILLIST_TLS_CERT", value_name = "FILE")]
+    pub tls_cert: Option<PathBuf>,
+    /// Private key of the certificate, in PEM form
+    #[arg(long, env = "POINTILLIST_TLS_KEY", value_name = "FILE")]
+    pub tls_key: Option<PathBuf>,
+    /// Serve /metrics, /healthz and /readyz on this address too, without keys and TLS, and /metrics nowhere else
+    #[arg(long, env = "POINTILLIST_METRICS_LISTEN", value_name = "HOST:PORT")]
+    pub metrics_listen: Option<String>,
+    /// File to which each request is appended as a line of JSON; `-` is standard output
+    #[arg(long, env = "POINTILLIST_ACCESS_LOG", value_name = "FILE", allow_hyphen_values = true)]
+    pub access_log: Option<PathBuf>,
+    /// File to which each change, reload and refused key is appended as a line of JSON; `-` is standard output
+    #[arg(long, env = "POINTILLIST_AUDIT_LOG", value_name = "FILE", allow_hyphen_values = true)]
+    pub audit_log: Option<PathBuf>,
     /// Folder for jobs and their frames; each daemon needs its own [default: `pointillist` in the user's state folder]
     #[arg(long, env = "POINTILLIST_STATE", value_name = "FOLDER")]
     pub state: Option<PathBuf>,
@@ -204,16 +229,27 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     let args = with_file(args)?;
     init_log(args.log_format.unwrap_or(LogFormat::Text));
     let root = root(&args)?;
-    let address = listen_address(args.listen.as_deref().unwrap_or("127.0.0.1:8080"))?;
+    let passed = passed_socket()?;
+    let address = match &passed {
+        Some(listener) => listener.local_addr().context("the socket that systemd passes")?,
+        None => listen_address("listen", args.listen.as_deref().unwrap_or("127.0.0.1:8080"))?,
+    };
+    let monitoring = args.metrics_listen.as_deref();
+    let monitoring = monitoring.map(|text| listen_address("metrics-listen", text)).transpose()?;
     let access = access(&args, address)?;
+    let is_tls = args.tls_cert.is_some();
     let has_keys = matches!(access, Access::Keys(_));
     let settings = settings(&args, root.clone(), access)?;
     let settings = Settings { reread_access: reread(&args, address), ..settings };
     let start = start_scenes(&args, &root)?;
     let jobs_config = jobs_config(&args)?;
     let is_taken = |error: &std::io::Error| error.kind() == std::io::ErrorKind::AddrInUse;
-    let listener = patiently(patience(), is_taken, || TcpListener::bind(address))
-        .with_context(|| format!("cannot listen on {address}"))?;
+    let bind = |address: SocketAddr| {
+        patiently(patience(), is_taken, || TcpListener::bind(address))
+            .with_context(|| format!("cannot listen on {address}"))
+    };
+    let listener = passed.map_or_else(|| bind(address), Ok)?;
+    let monitoring = monitoring.map(bind).transpose()?;
     let claim = match args.no_uploads {
         Some(true) => None,
         _ => claim(&root)?,
@@ -224,9 +260,13 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let jobs = open_jobs(&engine, jobs_config, args.state.is_some())?;
     let app = App::new(engine, settings, jobs);
-    let ready = |engine: &Engine, address| tell(&example(engine, address, has_keys));
-    let result =
-        runtime.block_on(serve(app, listener, start, |address| tell(&greeting(address)), ready));
+    if let Some(listener) = monitoring {
+        tracing::info!(address = %listener.local_addr()?, "metrics are served");
+        runtime.spawn(serve_monitoring(app.clone(), listener));
+    }
+    let ready = |engine: &Engine, address| tell(&example(engine, address, is_tls, has_keys));
+    let listening = |address| tell(&greeting(address, is_tls));
+    let result = runtime.block_on(serve(app, listener, start, listening, ready));
     // Do not wait for a scene that is still being read.
     runtime.shutdown_timeout(Duration::from_millis(100));
     drop(claim);
@@ -326,6 +366,18 @@ impl ServeArgs {
             api_keys: self.api_keys.or(lower.api_keys),
             insecure: self.insecure.or(lower.insecure),
             cors_origin: list(self.cors_origin, lower.cors_origin),
+            trusted_proxies: list(self.trusted_proxies, lower.trusted_proxies),
+            requests_per_second_per_address: self
+                .requests_per_second_per_address
+                .or(lower.requests_per_second_per_address),
+            max_connections_per_address: self
+                .max_connections_per_address
+                .or(lower.max_connections_per_address),
+            tls_cert: self.tls_cert.or(lower.tls_cert),
+            tls_key: self.tls_key.or(lower.tls_key),
+            metrics_listen: self.metrics_listen.or(lower.metrics_listen),
+            access_log: self.access_log.or(lower.access_log),
+            audit_log: self.audit_log.or(lower.audit_log),
             state: self.state.or(lower.state),
             no_jobs: self.no_jobs.or(lower.no_jobs),
             job_queue: self.job_queue.or(lower.job_queue),
@@ -344,11 +396,11 @@ impl ServeArgs {
     }
 }
 
-fn listen_address(text: &str) -> anyhow::Result<SocketAddr> {
+fn listen_address(flag: &str, text: &str) -> anyhow::Result<SocketAddr> {
     text.to_socket_addrs()
-        .with_context(|| format!("--listen {text}: expected HOST:PORT, as in 127.0.0.1:8080"))?
+        .with_context(|| format!("--{flag} {text}: expected HOST:PORT, as in 127.0.0.1:8080"))?
         .next()
-        .with_context(|| format!("--listen {text}: the host name has no address; give an IP address or a name that resolves"))
+        .with_context(|| format!("--{flag} {text}: the host name has no address; give an IP address or a name that resolves"))
 }
 
 /// The access rules: the keys of the key file, or without one, access from loopback only.
@@ -356,7 +408,7 @@ fn access(args: &ServeArgs, address: SocketAddr) -> anyhow::Result<Access> {
     if let Some(path) = &args.api_keys {
         let text = std::fs::read_to_string(path)
             .with_context(|| format!("--api-keys: cannot read {}", path.display()))?;
-        let keys = parse_keys(&text)
+        let keys = keys::read(path, &text)
             .map_err(|reason| anyhow::anyhow!("--api-keys: {}: {reason}", path.display()))?;
         return Ok(Access::Keys(keys));
     }
@@ -367,14 +419,6 @@ fn access(args: &ServeArgs, address: SocketAddr) -> anyhow::Result<Access> {
     // Behind a proxy on the same machine, requests carry the proxy's host name.
     let only_loopback = address.ip().is_loopback() && args.insecure != Some(true);
     Ok(Access::Open { cors_origins: args.cors_origin.clone(), only_loopback })
-}
-
-/// Reads the key file again, if there is one.
-fn reread(args: &ServeArgs, address: SocketAddr) -> Option<Reread> {
-    args.api_keys.as_ref()?;
-    let args = args.clone();
-    let read = move || access(&args, address).map_err(|error| format!("{error:#}"));
-    Some(Reread(Arc::new(read)))
 }
 
 /// Returns `value` or the default, and fails below `least`.
@@ -433,6 +477,7 @@ fn settings(args: &ServeArgs, root: PathBuf, access: Access) -> anyhow::Result<S
             )?,
             longest: seconds("watch-seconds", args.watch_seconds, 3600, 1)?,
         },
+        edge: edge(args)?,
     })
 }
 
@@ -484,114 +529,4 @@ fn engine_config(args: &ServeArgs, root: PathBuf) -> anyhow::Result<EngineConfig
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use clap::Parser;
-
-    #[derive(Parser)]
-    struct Line {
-        #[command(flatten)]
-        args: ServeArgs,
-    }
-
-    fn flags(line: &[&str]) -> ServeArgs {
-        Line::parse_from(std::iter::once(&"serve").chain(line)).args
-    }
-
-    #[test]
-    fn flags_win_over_the_file() {
-        let file = parse_file(
-            "queue = 7\nmax-batch = 3\nscene = [\"a.json\"]\ninsecure = true\nlog-format = \"json\"",
-        );
-        let args =
-            flags(&["--queue", "9", "--scene", "b.ply", "--scene", "c.ply"]).or(file.unwrap());
-        assert_eq!((args.queue, args.max_batch, args.insecure), (Some(9), Some(3), Some(true)));
-        assert_eq!(args.scene, [PathBuf::from("b.ply"), PathBuf::from("c.ply")]);
-        assert_eq!(args.log_format, Some(LogFormat::Json));
-        assert_eq!(flags(&["--insecure"]).insecure, Some(true));
-    }
-
-    /// Tries every flag as a key of the file, and fails if serde does not know the flag by its name.
-    #[test]
-    fn every_flag_is_a_key_of_the_file() {
-        for name in setting_names() {
-            let values = ["1", "\"1\"", "[\"1\"]", "true", "\"json\"", "\"z\""];
-            let taken = values.iter().any(|value| parse_file(&format!("{name} = {value}")).is_ok());
-            assert!(taken, "{name}");
-        }
-    }
-
-    #[test]
-    fn unknown_keys_are_suggested() {
-        let error = parse_file("max-bach = 3").unwrap_err().to_string();
-        assert!(error.contains("`max-batch`"), "{error}");
-        assert!(parse_file("queue = \"many\"").unwrap_err().to_string().contains("queue"));
-        assert!(parse_file("config = \"x\"").is_err());
-    }
-
-    #[test]
-    fn other_addresses_need_keys() {
-        let open: SocketAddr = "0.0.0.0:80".parse().unwrap();
-        let local: SocketAddr = "[::1]:80".parse().unwrap();
-        assert!(access(&ServeArgs::default(), local).is_ok());
-        assert!(
-            access(&ServeArgs::default(), open).unwrap_err().to_string().contains("--api-keys")
-        );
-        let only_loopback = |args: &ServeArgs, address| match access(args, address) {
-            Ok(Access::Open { only_loopback, .. }) => Some(only_loopback),
-            _ => None,
-        };
-        assert_eq!(only_loopback(&ServeArgs::default(), local), Some(true));
-        assert_eq!(only_loopback(&flags(&["--insecure"]), local), Some(false));
-        assert_eq!(only_loopback(&flags(&["--insecure"]), open), Some(false));
-        let folder = tempfile::tempdir().unwrap();
-        let keys = folder.path().join("keys");
-        std::fs::write(&keys, format!("a read {}\n", "0".repeat(64))).unwrap();
-        let args = ServeArgs { api_keys: Some(keys.clone()), ..ServeArgs::default() };
-        assert!(matches!(access(&args, open), Ok(Access::Keys(_))));
-        std::fs::write(&keys, "a read 12\n").unwrap();
-        assert!(access(&args, open).unwrap_err().to_string().contains("line 1"));
-    }
-
-    #[test]
-    fn numbers_below_their_least_are_refused() {
-        let refused = |line: &[&str]| {
-            let args = flags(line);
-            let root = PathBuf::from("/");
-            let access = Access::Open { cors_origins: Vec::new(), only_loopback: true };
-            engine_config(&args, root.clone()).is_err()
-                || settings(&args, root, access).is_err()
-                || jobs_config(&args).is_err()
-        };
-        assert!(!refused(&[]));
-        for flag in [
-            "--queue=0",
-            "--queue-seconds=0",
-            "--queue-seconds=1e30",
-            "--job-share=0",
-            "--job-share=0.6",
-            "--job-share=NaN",
-            "--max-batch=0",
-            "--gpu-budget-mib=0",
-            "--host-memory-mib=0",
-            "--cache-max-mib=0",
-            "--max-upload-mib=0",
-            "--max-uploads=0",
-            "--max-uploads-per-key=0",
-            "--upload-disk-mib=0",
-            "--upload-disk-mib-per-key=0",
-            "--max-streams-per-client=0",
-            "--stream-idle-seconds=0",
-            "--cors-origin=x",
-            "--job-queue=0",
-            "--job-runners=0",
-            "--job-runners=65",
-            "--job-disk-mib=0",
-            "--job-ttl-seconds=0",
-            "--max-watchers-per-client=0",
-            "--watch-seconds=0",
-        ] {
-            assert!(refused(&[flag]), "{flag}");
-        }
-    }
-}
+mod tests;

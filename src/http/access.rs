@@ -1,6 +1,6 @@
 //! Access control: API keys with scopes, and the guard against requests from foreign web pages.
 //!
-//! A key file holds one key per line, `name scope sha256hex`; only hashes are stored. The server hashes a request's key once and
+//! A [file of keys](keys) holds hashes only. The server hashes a request's key once and
 //! compares it with every stored hash in constant time, so that neither time nor order tells how near a guess was.
 //!
 //! Without keys (loopback, or `--insecure`) everybody may do everything, except that a web page from another origin may not
@@ -13,6 +13,7 @@
 
 use std::net::{Ipv4Addr, Ipv6Addr};
 use std::sync::Arc;
+use std::time::SystemTime;
 
 use axum::http::{HeaderMap, Method, Uri, header};
 use sha2::{Digest, Sha256};
@@ -20,23 +21,43 @@ use subtle::ConstantTimeEq;
 
 use super::STREAM;
 use super::problem::{Kind, Problem};
+use super::tls::Tls;
+
+pub mod keys;
 
 /// The scope of a key. Each scope includes those before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Scope {
     /// Allows frames, scenes, limits, metrics, and jobs that the key made while it had the write scope.
     Read,
-    /// Also allows adding, changing and removing scenes, and the key's own jobs.
+    /// Also allows adding scenes, changing and removing those that the key added, and the key's own jobs.
     Write,
-    /// Allows everything, including other keys' jobs.
+    /// Allows everything, including other keys' scenes and jobs, and the scenes of the root.
     Admin,
 }
 
-/// One line of the key file.
+/// Limits of one key; `None` where the server's own limits apply.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Quotas {
+    /// Uploaded scenes at the same time.
+    pub scenes: Option<u64>,
+    /// Bytes of uploads on disk.
+    pub bytes: Option<u64>,
+    /// GPU time in milliseconds, by a bucket of one minute.
+    pub device_ms_per_minute: Option<u64>,
+    /// Open streams.
+    pub streams: Option<usize>,
+    pub requests_per_second: Option<f64>,
+}
+
+/// One key of the file.
 #[derive(Clone, Debug)]
 pub struct ApiKey {
     pub name: String,
     pub scope: Scope,
+    /// Time from which the key is refused.
+    pub expires: Option<SystemTime>,
+    pub quotas: Quotas,
     hash: [u8; 32],
 }
 
@@ -52,58 +73,22 @@ pub enum Access {
     Keys(Vec<ApiKey>),
 }
 
-/// Reads the access rules again from their source.
+/// What a reload puts in force, all or nothing.
+#[derive(Clone, Debug)]
+pub struct Rules {
+    pub access: Access,
+    /// Certificate and key; `None` where the server speaks plain HTTP.
+    pub tls: Option<Tls>,
+}
+
+/// Reads the rules again from their files.
 #[derive(Clone)]
-pub struct Reread(pub Arc<dyn Fn() -> Result<Access, String> + Send + Sync>);
+pub struct Reread(pub Arc<dyn Fn() -> Result<Rules, String> + Send + Sync>);
 
 impl std::fmt::Debug for Reread {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str("Reread")
     }
-}
-
-/// Reads a key file: one `name scope sha256hex` per line, comments begin with `#`.
-///
-/// # Errors
-/// Names the first bad line by its number, or says that the file has no keys.
-pub fn parse_keys(text: &str) -> Result<Vec<ApiKey>, String> {
-    let mut keys: Vec<ApiKey> = Vec::new();
-    for (index, line) in text.lines().enumerate() {
-        let line = line.split('#').next().unwrap_or_default().trim();
-        if line.is_empty() {
-            continue;
-        }
-        let fail = |what: &str| Err(format!("line {}: {what}", index + 1));
-        let words: Vec<&str> = line.split_whitespace().collect();
-        let [name, scope, hex] = words[..] else {
-            return fail("expected `name scope sha256hex`");
-        };
-        let scope = match scope {
-            "read" => Scope::Read,
-            "write" => Scope::Write,
-            "admin" => Scope::Admin,
-            _ => return fail("the scope must be read, write or admin"),
-        };
-        let Some(hash) = parse_hash(hex) else {
-            return fail("the hash must be 64 hexadecimal digits (sha256sum of the key)");
-        };
-        if keys.iter().any(|key| key.name == name) {
-            return fail("the name is already used by another key");
-        }
-        keys.push(ApiKey { name: name.to_owned(), scope, hash });
-    }
-    if keys.is_empty() { Err("the file has no keys".to_owned()) } else { Ok(keys) }
-}
-
-fn parse_hash(hex: &str) -> Option<[u8; 32]> {
-    if hex.len() != 64 || !hex.bytes().all(|byte| byte.is_ascii_hexdigit()) {
-        return None;
-    }
-    let mut hash = [0; 32];
-    for (byte, digits) in hash.iter_mut().zip(hex.as_bytes().chunks_exact(2)) {
-        *byte = u8::from_str_radix(std::str::from_utf8(digits).ok()?, 16).ok()?;
-    }
-    Some(hash)
 }
 
 /// Returns the scope that a request needs, or `None` where no key is needed.
@@ -117,6 +102,25 @@ pub fn needed(method: &Method, route: &str) -> Option<Scope> {
         _ if method == Method::GET || method == Method::HEAD => Some(Scope::Read),
         _ => Some(Scope::Write),
     }
+}
+
+/// Returns whether a request of this route uses the GPU.
+pub fn draws(route: &str) -> bool {
+    route == STREAM
+        || [
+            "/v1/scenes/{id}/frame",
+            "/v1/scenes/{id}/frames",
+            "/v1/scenes/{id}/pick",
+            "/v1/scenes/{id}/compare",
+            "/v1/scenes/{id}/mjpeg",
+        ]
+        .contains(&route)
+}
+
+/// Returns whether a request has a key, known or not.
+pub fn has_key(route: &str, headers: &HeaderMap) -> bool {
+    headers.contains_key(header::AUTHORIZATION)
+        || route == STREAM && protocol_key(headers).is_some()
 }
 
 /// Prefix of a subprotocol that carries a key.
@@ -234,12 +238,16 @@ fn check_key<'a>(
     let mut granted: Option<&ApiKey> = None;
     for key in keys {
         // Compare every key, even after a hit.
-        if bool::from(key.hash.ct_eq(&hash)) && granted.is_none_or(|best| best.scope < key.scope) {
+        let is_same = bool::from(key.hash.ct_eq(&hash));
+        if is_same && granted.is_none_or(|best| best.scope < key.scope) {
             granted = Some(key);
         }
     }
     match granted {
         None => Err(unauthorized("the key is not known")),
+        Some(granted) if granted.expires.is_some_and(|end| end <= SystemTime::now()) => {
+            Err(unauthorized("the key has expired"))
+        }
         Some(granted) if granted.scope < scope => Err(Problem::new(
             Kind::Forbidden,
             format!("the key's scope is {:?}, but this operation needs {scope:?}", granted.scope)

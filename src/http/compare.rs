@@ -172,7 +172,7 @@ pub async fn compare(
     let mut frames = Vec::with_capacity(4);
     for (ticket, deadline) in [a_color, a_coverage, b_color, b_coverage] {
         let frame = wait(&app, ticket, deadline).await?;
-        app.metrics.frame(&frame);
+        app.sent(client, &frame);
         frames.push(frame);
     }
     let turn = app.comparing.clone().acquire_owned().await.map_err(Problem::internal)?;

@@ -2,9 +2,12 @@
 //!
 //! A connection must send the head of a request within `read_timeout`; an idle connection is closed after the same time, and a
 //! connection that accepts no bytes of its answer for [`STALLED_WRITE`] is dropped. A connection beyond `max_connections` gets a
-//! short refusal and is closed. A few of these at a time are read first, so that health probes are answered.
+//! short refusal and is closed. A few of these at a time are read first, so that health probes are answered. The same holds for a
+//! connection beyond those that one address may have. With TLS, such connections are closed without an answer, since a handshake
+//! costs more than the answer is worth.
 
 use std::future::Future;
+use std::net::IpAddr;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
@@ -20,7 +23,8 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, Sleep};
 
 use super::problem::{Kind, Problem};
-use super::{App, refusal, service};
+use super::socket::Socket;
+use super::{App, address, refusal, service};
 
 /// Time after which a client that reads nothing of its answer is dropped.
 const STALLED_WRITE: Duration = Duration::from_secs(60);
@@ -52,10 +56,15 @@ impl<S: Send + 'static> Accept<TcpStream, S> for Doorkeeper {
     type Future = Pin<Box<dyn Future<Output = std::io::Result<(Guarded, S)>> + Send>>;
 
     fn accept(&self, mut stream: TcpStream, service: S) -> Self::Future {
-        let place = self.places.clone().try_acquire_owned();
+        let place = self.places.clone().try_acquire_owned().ok();
+        let place = place.and_then(|place| Place::take(&self.app, &stream, place));
         let Doorkeeper { app, probes, read_timeout, .. } = self.clone();
+        let tls = app.rules.read().tls.clone();
         Box::pin(async move {
-            let Ok(place) = place else {
+            let Some(place) = place else {
+                if tls.is_some() {
+                    return Err(std::io::Error::other("no place left"));
+                }
                 let answer = async {
                     let probe = probes.try_acquire_owned().ok();
                     let answer = match probe {
@@ -71,8 +80,46 @@ impl<S: Send + 'static> Accept<TcpStream, S> for Doorkeeper {
                 return Err(std::io::Error::other("no place left"));
             };
             stream.set_nodelay(true)?;
-            Ok((Guarded::new(stream, place, read_timeout), service))
+            let socket = match tls {
+                None => Socket::Plain(stream),
+                Some(tls) => {
+                    let handshake = tokio_rustls::TlsAcceptor::from(tls).accept(stream);
+                    let stream = tokio::time::timeout(read_timeout, handshake).await??;
+                    Socket::Tls(Box::new(stream))
+                }
+            };
+            Ok((Guarded::new(socket, place, read_timeout), service))
         })
+    }
+}
+
+/// A connection's place in all, and among those of its address; dropping it frees both.
+struct Place {
+    app: Arc<App>,
+    /// `None` for trusted proxies, which connect for many clients.
+    address: Option<IpAddr>,
+    _place: OwnedSemaphorePermit,
+}
+
+impl Place {
+    /// Returns `None` when the address has as many connections as it may have.
+    fn take(app: &Arc<App>, stream: &TcpStream, place: OwnedSemaphorePermit) -> Option<Place> {
+        let peer = stream.peer_addr().ok().map(|peer| peer.ip());
+        let proxies = &app.settings.edge.trusted_proxies;
+        let address =
+            peer.filter(|peer| !address::is_trusted(*peer, proxies)).map(address::network);
+        if address.is_some_and(|address| !app.connections.take(address)) {
+            return None;
+        }
+        Some(Place { app: app.clone(), address, _place: place })
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        if let Some(address) = self.address {
+            self.app.connections.give_back(address);
+        }
     }
 }
 
@@ -117,8 +164,8 @@ async fn turn_away(stream: &mut TcpStream, answer: Option<Response>) -> std::io:
 /// A connection that holds its place, with two limits that the HTTP library lacks: time for the first
 /// bytes, which the library reads before it knows their protocol, and time for writes.
 pub struct Guarded {
-    stream: TcpStream,
-    _place: OwnedSemaphorePermit,
+    stream: Socket,
+    _place: Place,
     read_bytes: u64,
     preface_until: Pin<Box<Sleep>>,
     write_until: Pin<Box<Sleep>>,
@@ -135,7 +182,7 @@ struct Instead {
 }
 
 impl Guarded {
-    fn new(stream: TcpStream, place: OwnedSemaphorePermit, read_timeout: Duration) -> Self {
+    fn new(stream: Socket, place: Place, read_timeout: Duration) -> Self {
         Self {
             stream,
             _place: place,

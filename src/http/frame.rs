@@ -8,6 +8,7 @@ use axum::extract::{Extension, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 
+use super::journal::Spent;
 use super::problem::{Kind, Problem};
 use super::{App, Caller, Segments, conditional, headers};
 use crate::encode::ImageFormat;
@@ -116,7 +117,7 @@ pub async fn frame(
 
     let ticket = app.engine.queue(Origin { client, request_id }, resolved.clone())?;
     let frame = wait(&app, ticket, resolved.request.deadline).await?;
-    app.metrics.frame(&frame);
+    app.sent(client, &frame);
     let mut response = Response::new(Body::from(frame.bytes.clone()));
     let headers = response.headers_mut();
     for (name, value) in receipt_headers(&frame) {
@@ -126,6 +127,7 @@ pub async fn frame(
     // After a device loss another adapter may have drawn the frame.
     let tag = tag.filter(|_| frame.receipt.adapter == resolved.adapter());
     validators(headers, tag, negotiated);
+    response.extensions_mut().insert(Spent::of(&frame.receipt));
     Ok(response)
 }
 

@@ -234,7 +234,7 @@ fn parts(
                 Err(problem) => Err(problem),
             };
             if let Ok(frame) = &result {
-                batch.app.metrics.frame(frame);
+                batch.app.sent(batch.client, frame);
             }
             let result = result.map_err(|problem| problem.named(batch.name(index)));
             let (head, content) = part(index as u64, result);

@@ -1,6 +1,7 @@
 //! A counter with two limits: one in total and one per client.
 
 use std::collections::HashMap;
+use std::hash::Hash;
 
 use parking_lot::Mutex;
 use tokio::sync::watch;
@@ -8,23 +9,33 @@ use tokio::sync::watch;
 use crate::engine::Client;
 
 /// Counts open places, in total and per client.
-pub struct Headcount {
+pub struct Headcount<K = Client> {
     most: usize,
     most_per_client: usize,
-    by_client: Mutex<HashMap<Client, usize>>,
+    by_client: Mutex<HashMap<K, usize>>,
     open: watch::Sender<usize>,
 }
 
-impl Headcount {
+impl<K: Copy + Eq + Hash> Headcount<K> {
     pub fn new(most: usize, most_per_client: usize) -> Self {
-        Self { most, most_per_client, by_client: Mutex::default(), open: watch::Sender::new(0) }
+        Self {
+            most,
+            most_per_client,
+            by_client: Mutex::new(HashMap::new()),
+            open: watch::Sender::new(0),
+        }
     }
 
     /// Counts one more place and returns true, unless a limit is reached.
-    pub fn take(&self, client: Client) -> bool {
+    pub fn take(&self, client: K) -> bool {
+        self.take_within(client, self.most_per_client)
+    }
+
+    /// As [`Headcount::take`], with a limit of this client's own.
+    pub fn take_within(&self, client: K, most_per_client: usize) -> bool {
         let mut by_client = self.by_client.lock();
         let own = by_client.get(&client).copied().unwrap_or(0);
-        if *self.open.borrow() >= self.most || own >= self.most_per_client {
+        if *self.open.borrow() >= self.most || own >= most_per_client {
             return false;
         }
         by_client.insert(client, own + 1);
@@ -32,7 +43,7 @@ impl Headcount {
         true
     }
 
-    pub fn give_back(&self, client: Client) {
+    pub fn give_back(&self, client: K) {
         let mut by_client = self.by_client.lock();
         if let Some(own) = by_client.get_mut(&client) {
             *own -= 1;
@@ -61,6 +72,8 @@ mod tests {
         assert!(places.take(b) && !places.take(b), "three in all");
         places.give_back(a);
         assert!(places.take(b) && !places.take(a));
+        places.give_back(b);
+        assert!(!places.take_within(b, 1) && places.take_within(b, 2));
         for client in [a, b, b] {
             places.give_back(client);
         }

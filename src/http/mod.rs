@@ -2,7 +2,7 @@
 //! [engine](crate::engine) decides what can be drawn and whether there is room for it.
 //!
 //! ```text
-//! connection → server (limits, timeouts) → gate (access, counters, panics) → handler
+//! connection → server (TLS, limits, timeouts) → gate (access, rates, logs, counters, panics) → handler
 //!                                              frame   params → engine.etag → 304
 //!                                                                  └→ engine.submit → image + receipt
 //!                                              frames  one frame for each pose, as multipart/mixed
@@ -15,7 +15,8 @@
 //!                                              accuracy  what accuracy costs in time, measured in the background
 //! ```
 //!
-//! Clients share the device. A client is known by its key, or by its address where there are no keys ([`Caller`]).
+//! Clients share the device. A client is known by its key, or by its address where there are no keys ([`Caller`]). Behind trusted
+//! proxies the address is the one that they forward ([`address`]).
 //!
 //! Every request has a name ([`naming`]): answers, receipts, problems and log lines carry it.
 //!
@@ -25,15 +26,20 @@
 
 pub mod access;
 mod accuracy;
+pub mod address;
 mod body;
+mod bucket;
 mod compare;
 mod conditional;
 mod connection;
 mod frame;
 mod frames;
+mod gate;
 mod headcount;
 mod headers;
 mod jobs;
+pub mod journal;
+mod limits;
 mod metrics;
 mod mjpeg;
 mod names;
@@ -48,30 +54,27 @@ mod registry;
 mod scenes;
 pub mod server;
 mod service;
+mod socket;
 mod stream;
+pub mod tls;
 mod upload;
 mod viewer;
 
 use std::hash::{BuildHasher, RandomState};
-use std::net::SocketAddr;
+use std::net::IpAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use axum::Router;
-use axum::body::HttpBody;
-use axum::extract::{
-    ConnectInfo, DefaultBodyLimit, FromRequestParts, MatchedPath, Path, Request, State,
-};
+use axum::extract::{DefaultBodyLimit, FromRequestParts, Path};
 use axum::http::request::Parts;
 use axum::http::{HeaderName, HeaderValue, header};
-use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, patch, post};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::cors::{AllowOrigin, CorsLayer};
-use tracing::Instrument;
 
 pub use jobs::WatchLimits;
 pub use names::slug;
@@ -81,8 +84,10 @@ pub use problem::Problem;
 pub use stream::StreamLimits;
 pub use upload::quota::UploadLimits;
 
+use self::access::{Quotas, Rules};
+use self::journal::{Journal, Notice};
 use crate::accuracy::service::Surveys;
-use crate::engine::{Client, Engine};
+use crate::engine::{Client, EncodedFrame, Engine};
 use crate::jobs::Jobs;
 
 /// Configuration of the HTTP side.
@@ -108,10 +113,27 @@ pub struct Settings {
     pub drain_delay: Duration,
     /// Whether clients may add scenes.
     pub uploads: bool,
-    /// Reads the access rules again; `None` where there is nothing to read.
+    /// Reads the rules again; `None` where there is nothing to read.
     pub reread_access: Option<access::Reread>,
     pub streams: stream::StreamLimits,
     pub watches: WatchLimits,
+    pub edge: Edge,
+}
+
+/// Settings of what stands between the network and the handlers.
+#[derive(Clone, Debug, Default)]
+pub struct Edge {
+    /// Proxies whose `X-Forwarded-For` is believed.
+    pub trusted_proxies: Vec<ipnet::IpNet>,
+    /// Requests per second of one address; `None` for no limit.
+    pub requests_per_second_per_address: Option<f64>,
+    /// Connections of one address; `None` for no limit.
+    pub max_connections_per_address: Option<usize>,
+    /// Whether `/metrics` is served on a listener of its own, and not on the main one.
+    pub metrics_apart: bool,
+    pub tls: Option<tls::Tls>,
+    pub access_log: Option<Arc<Journal>>,
+    pub audit_log: Option<Arc<Journal>>,
 }
 
 /// State shared by all handlers.
@@ -134,7 +156,10 @@ pub struct App {
     /// Origins whose pages may read `Server-Timing`.
     timing_origins: Option<HeaderValue>,
     /// The rules in force.
-    access: parking_lot::RwLock<Arc<access::Access>>,
+    rules: parking_lot::RwLock<Arc<Rules>>,
+    limits: limits::Limits,
+    /// Connections by address.
+    connections: headcount::Headcount<IpAddr>,
     phase: AtomicU8,
 }
 
@@ -165,7 +190,15 @@ impl App {
             timing_origins: (!settings.cors_origins.is_empty())
                 .then(|| HeaderValue::from_str(&settings.cors_origins.join(", ")).ok())
                 .flatten(),
-            access: parking_lot::RwLock::new(Arc::new(settings.access.clone())),
+            rules: parking_lot::RwLock::new(Arc::new(Rules {
+                access: settings.access.clone(),
+                tls: settings.edge.tls.clone(),
+            })),
+            limits: limits::Limits::new(settings.edge.requests_per_second_per_address),
+            connections: headcount::Headcount::new(
+                usize::MAX,
+                settings.edge.max_connections_per_address.unwrap_or(usize::MAX),
+            ),
             phase: AtomicU8::new(0),
             engine,
             settings,
@@ -181,19 +214,65 @@ impl App {
         }
     }
 
-    /// Reads the access rules again and puts them in force. If they cannot be read, the earlier rules stay.
-    pub fn reread_access(&self) {
+    /// Opens the logs anew, reads keys and certificates again, and puts them in force together. If one of them cannot be used,
+    /// everything stays as it was.
+    pub fn reload(&self) {
+        let edge = &self.settings.edge;
+        for journal in edge.access_log.iter().chain(&edge.audit_log) {
+            journal.reopen();
+        }
         let Some(reread) = &self.settings.reread_access else {
-            tracing::info!("no API keys to read again");
+            tracing::info!("no API keys or certificates to read again");
             return;
         };
-        match reread.0() {
-            Ok(access) => {
-                *self.access.write() = Arc::new(access);
-                tracing::info!("API keys read again");
+        let error = match reread.0() {
+            Ok(rules) => {
+                *self.rules.write() = Arc::new(rules);
+                tracing::info!("API keys and certificates read again");
+                None
             }
-            Err(error) => tracing::error!(error, "the API keys in force stay"),
+            Err(error) => {
+                tracing::error!(error, "the API keys and certificates in force stay");
+                Some(error)
+            }
+        };
+        let event = if error.is_none() { "reload" } else { "reload-refused" };
+        self.audit(&Notice::new(event, error));
+    }
+
+    fn audit(&self, entry: &impl serde::Serialize) {
+        if let Some(journal) = &self.settings.edge.audit_log {
+            journal.write(entry);
         }
+    }
+
+    /// Returns the number of a key's client.
+    fn number_of(&self, key: &access::ApiKey) -> u64 {
+        self.callers.hash_one(&key.name)
+    }
+
+    /// Returns the limits of a client's key, as they are now.
+    pub(crate) fn quotas_of(&self, client: Client) -> Quotas {
+        let rules = self.rules.read().clone();
+        let (access::Access::Keys(keys), Client::Caller(number)) = (&rules.access, client) else {
+            return Quotas::default();
+        };
+        let key = keys.iter().find(|key| self.number_of(key) == number);
+        key.map_or_else(Quotas::default, |key| key.quotas)
+    }
+
+    /// Counts a frame that is sent to a client, and charges the client's key for it.
+    pub(crate) fn sent(&self, client: Client, frame: &EncodedFrame) {
+        self.metrics.frame(frame);
+        if let (Client::Caller(number), Some(ns)) = (client, frame.receipt.gpu_share_ns()) {
+            self.limits.charge(number, Duration::from_nanos(ns), Instant::now());
+        }
+    }
+
+    /// Returns the time until a client has GPU time again, if its key has used it up.
+    pub(crate) fn device_wait(&self, client: Client, now: Instant) -> Option<Duration> {
+        let Client::Caller(number) = client else { return None };
+        self.limits.device_wait(number, now)
     }
 
     pub fn set_phase(&self, phase: Phase) {
@@ -214,12 +293,31 @@ impl App {
 pub(crate) struct Caller(pub Client);
 
 /// The key of a request, where keys are required; attached beside [`Caller`].
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Owner {
     /// Name of the key.
     pub name: Option<String>,
     /// Whether the key may change what others own. Without keys everybody may.
     pub is_admin: bool,
+    pub quotas: Quotas,
+}
+
+impl Owner {
+    /// Refuses changes of scenes that another key uploaded, and of scenes of the root.
+    pub(crate) fn check_scene(&self, app: &App, id: &str) -> Result<(), Problem> {
+        let is_known = app.registry.get(id).is_some() || app.engine.scene(id).is_ok();
+        // An admin may change everything, and a scene that does not exist is nobody's.
+        if self.is_admin || !is_known {
+            return Ok(());
+        }
+        if app.uploads.owner(id).is_some_and(|owner| self.is_theirs(owner.as_deref())) {
+            return Ok(());
+        }
+        let detail = format!("scene `{id}` was not uploaded with this key");
+        Err(Problem::new(problem::Kind::Forbidden, detail)
+            .at("Authorization")
+            .accepted("the key that uploaded the scene, or a key of scope admin"))
+    }
 }
 
 /// Every route, as the counters and the access rules name them.
@@ -267,12 +365,15 @@ const TIMING_ALLOW_ORIGIN: HeaderName = HeaderName::from_static("timing-allow-or
 /// Builds the routes with all middleware.
 pub fn router(app: Arc<App>) -> Router {
     let cors = cors(&app.settings.cors_origins);
-    let router = Router::new()
+    let router = match app.settings.edge.metrics_apart {
+        true => Router::new(),
+        false => Router::new().route("/metrics", get(service::metrics)),
+    };
+    let router = router
         .route("/", get(viewer::page))
         .route("/viewer/{file}", get(viewer::file))
         .route("/healthz", get(service::healthz))
         .route("/readyz", get(service::readyz))
-        .route("/metrics", get(service::metrics))
         .route("/openapi.yaml", get(service::openapi))
         .route("/v1/limits", get(service::limits))
         .route("/v1/scene-schema.json", get(service::scene_schema))
@@ -307,7 +408,7 @@ pub fn router(app: Arc<App>) -> Router {
         // Each handler limits its own body while it reads.
         .layer(DefaultBodyLimit::disable())
         .layer(CatchPanicLayer::custom(panicked))
-        .layer(axum::middleware::from_fn_with_state(app.clone(), gate));
+        .layer(axum::middleware::from_fn_with_state(app.clone(), gate::gate));
     let router = match cors {
         Some(cors) => router.layer(cors),
         None => router,
@@ -315,62 +416,13 @@ pub fn router(app: Arc<App>) -> Router {
     router.with_state(app)
 }
 
-/// Wraps every handler: gives the request a name, checks access, counts.
-async fn gate(State(app): State<Arc<App>>, mut request: Request, next: Next) -> Response {
-    let matched = request.extensions().get::<MatchedPath>().map(MatchedPath::as_str);
-    let route = matched
-        .and_then(|path| ROUTES.iter().find(|route| **route == path))
-        .copied()
-        .unwrap_or(UNMATCHED);
-    let method = request.method().clone();
-    let id = naming::of(request.headers());
-    request.extensions_mut().insert(id.clone());
-    let span = tracing::debug_span!("request", request_id = %id, %method, route);
-    let answer = answer(&app, route, request, next).instrument(span);
-    let mut response = naming::within(id.clone(), answer).await;
-    let headers = response.headers_mut();
-    headers.extend(naming::header(&id).map(|value| (naming::REQUEST_ID, value)));
-    headers.extend(app.timing_origins.clone().map(|value| (TIMING_ALLOW_ORIGIN, value)));
-    app.metrics.answered(route, &method, response.status().as_u16());
-    response
-}
-
-/// Checks access and answers the request.
-async fn answer(app: &App, route: &'static str, request: Request, next: Next) -> Response {
-    let method = request.method().clone();
-    // A client that waits for `100 Continue` sends no body after a refusal, so there is nothing to read.
-    let expects = request.headers().contains_key(header::EXPECT);
-    let (request, rest) = if request.body().is_end_stream() || expects {
-        (request, None)
-    } else {
-        let (parts, whole) = request.into_parts();
-        let (body, rest) = body::share(whole);
-        (Request::from_parts(parts, body), Some(rest))
-    };
-    let mut request = request;
-    let access = app.access.read().clone();
-    let checked = access.check(&method, request.uri(), route, request.headers()).map(|key| {
-        let address = request.extensions().get::<ConnectInfo<SocketAddr>>();
-        let client = match (key, address) {
-            (Some(key), _) => Client::Caller(app.callers.hash_one(&key.name)),
-            (None, Some(from)) => Client::Caller(app.callers.hash_one(from.0.ip())),
-            (None, None) => Client::Unnamed,
-        };
-        let is_admin = key.is_none_or(|key| key.scope == access::Scope::Admin);
-        (client, Owner { name: key.map(|key| key.name.clone()), is_admin })
-    });
-    let response = match checked {
-        Ok((client, owner)) => {
-            request.extensions_mut().insert(Caller(client));
-            request.extensions_mut().insert(owner);
-            next.run(request).await
-        }
-        Err(problem) => problem.into_response(),
-    };
-    if let (Some(rest), true) = (rest, response.status().as_u16() >= 400) {
-        rest.linger().await;
-    }
-    response
+/// Builds the routes of the listener for monitoring, which asks for no key.
+pub fn monitoring(app: Arc<App>) -> Router {
+    Router::new()
+        .route("/metrics", get(service::metrics))
+        .route("/healthz", get(service::healthz))
+        .route("/readyz", get(service::readyz))
+        .with_state(app)
 }
 
 fn panicked(cause: Box<dyn std::any::Any + Send + 'static>) -> Response {
@@ -464,7 +516,7 @@ mod tests {
             .layer(CatchPanicLayer::custom(panicked));
         let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
         let (status, body) = runtime.block_on(async {
-            let request = Request::new(axum::body::Body::empty());
+            let request = axum::extract::Request::new(axum::body::Body::empty());
             let response = router.oneshot(request).await.unwrap();
             let status = response.status();
             (status, axum::body::to_bytes(response.into_body(), 4096).await.unwrap())

@@ -170,9 +170,10 @@ async fn answer(
     let deadline = request.deadline;
     let resolved = resolve(app, request_of(request)).await;
     let resolved = resolved.map_err(|problem| missing(app, id, problem))?;
+    let client = origin.client;
     let (ticket, picker) = app.engine.pick(origin, &resolved, pixels)?;
     let frame = wait(app, ticket, deadline).await?;
-    app.metrics.frame(&frame);
+    app.sent(client, &frame);
     let receipt = &frame.receipt;
     let (scene, revision, camera) =
         (receipt.scene.clone(), receipt.revision, receipt.camera.clone());

@@ -66,6 +66,8 @@ kinds! {
     SceneRefused         422 "scene-refused"           "the scene is not valid";
     Unauthorized         401 "unauthorized"            "an API key is needed";
     Forbidden            403 "forbidden"               "not allowed";
+    TooManyRequests      429 "too-many-requests"       "too many requests";
+    DeviceQuota          429 "device-quota"            "the key's GPU time is used up";
     WrongHost            421 "wrong-host"              "not a name of this server";
     Busy                 503 "busy"                    "the server is busy";
     DeadlineExceeded     503 "deadline-exceeded"       "the deadline passed";

@@ -3,11 +3,11 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
+use axum::{Extension, Json};
 use glam::{DAffine3, DMat3, DMat4, DQuat, DVec3, EulerRot};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -15,7 +15,7 @@ use utoipa::ToSchema;
 use super::params::unknown_name;
 use super::problem::{Kind, Problem};
 use super::registry::SceneState;
-use super::{App, NoQuery, Segments, body, frame, upload};
+use super::{App, NoQuery, Owner, Segments, body, frame, upload};
 use crate::engine::NodePatch;
 use crate::scene::{LARGEST_COORDINATE, LARGEST_SCALE};
 
@@ -66,7 +66,8 @@ pub async fn show(
 }
 
 /// Removes a scene: frees its memory, and deletes its files if it was uploaded. A load in progress is
-/// cancelled. A scene of the server's root is loaded again when the server restarts.
+/// cancelled. A scene of the server's root is loaded again when the server restarts. A key of scope write removes only scenes that
+/// it uploaded.
 #[utoipa::path(
     delete,
     path = "/v1/scenes/{id}",
@@ -77,9 +78,11 @@ pub async fn show(
 )]
 pub async fn remove(
     State(app): State<Arc<App>>,
+    Extension(owner): Extension<Owner>,
     Segments(id): Segments<String>,
     _: NoQuery,
 ) -> Result<StatusCode, Problem> {
+    owner.check_scene(&app, &id)?;
     let was_loading = app.registry.cancel(&id);
     if was_loading {
         // The load's next step may take some seconds.
@@ -147,7 +150,8 @@ const CHANGE_SYNONYMS: [(&str, &str); 3] =
 const MAX_CHANGE_BYTES: u64 = 64 << 10;
 
 /// Moves, shows or hides a top-level node. The scene gets a new revision; no data is uploaded to the GPU again. The scene's
-/// file does not change, so a restarted daemon begins with the file's values.
+/// file does not change, so a restarted daemon begins with the file's values. A key of scope write changes only scenes that it
+/// uploaded.
 #[utoipa::path(
     patch,
     path = "/v1/scenes/{id}/nodes/{node}",
@@ -162,11 +166,13 @@ const MAX_CHANGE_BYTES: u64 = 64 << 10;
 )]
 pub async fn patch_node(
     State(app): State<Arc<App>>,
+    Extension(owner): Extension<Owner>,
     Segments((id, node)): Segments<(String, String)>,
     _: NoQuery,
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
+    owner.check_scene(&app, &id)?;
     let patience = app.settings.read_timeout;
     let admission = app.engine.admission();
     let value: serde_json::Value =

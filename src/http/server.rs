@@ -8,7 +8,7 @@
 //!                                                                                       closed with 1001, jobs pause
 //! SIGINT, and SIGHUP where the terminal that it was started from has gone: Draining at once
 //! a second SIGTERM, SIGINT or such SIGHUP: exit at once
-//! SIGHUP without a terminal: API keys are read again
+//! SIGHUP without a terminal: keys and certificates are read again, and logs are opened anew
 //! a render thread that panicked: /healthz and /readyz 503, and the watchdog is no longer patted
 //! ```
 
@@ -174,6 +174,16 @@ async fn run(
     server.serve(router(app).into_make_service_with_connect_info::<SocketAddr>()).await
 }
 
+/// Serves metrics and health on a listener of its own until the process ends, without TLS, keys or limits.
+///
+/// # Errors
+/// A failed listener.
+pub async fn serve_monitoring(app: Arc<App>, listener: TcpListener) -> std::io::Result<()> {
+    listener.set_nonblocking(true)?;
+    let listener = tokio::net::TcpListener::from_std(listener)?;
+    axum::serve(listener, super::monitoring(app)).await
+}
+
 /// A scene to load at the start.
 struct Reserved {
     reservation: Result<Reservation, Problem>,
@@ -291,7 +301,7 @@ impl Signals {
         })
     }
 
-    /// Waits for a signal to stop and returns its name. A hangup that is no such signal has the access rules read again.
+    /// Waits for a signal to stop and returns its name. A hangup that is no such signal has the rules read again.
     async fn stop(&mut self, app: &App) -> &'static str {
         loop {
             tokio::select! {
@@ -301,7 +311,7 @@ impl Signals {
                     if self.has_terminal {
                         return "SIGHUP";
                     }
-                    app.reread_access();
+                    app.reload();
                 }
             }
         }

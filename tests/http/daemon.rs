@@ -244,7 +244,8 @@ impl Daemon {
         while let Ok(line) = receiver.recv_timeout(Duration::from_secs(120)) {
             greeting.push(line);
             let last = &greeting[greeting.len() - 1];
-            if let Some(found) = last.strip_prefix("listening on http://") {
+            let found = last.strip_prefix("listening on http");
+            if let Some((_, found)) = found.and_then(|rest| rest.split_once("://")) {
                 let found = found.parse().unwrap();
                 address = Some(found);
                 ask(found);

@@ -5,7 +5,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use pointillist::http::access::Access;
-use pointillist::http::{Settings, StreamLimits, UploadLimits, WatchLimits};
+use pointillist::http::{Edge, Settings, StreamLimits, UploadLimits, WatchLimits};
 
 use super::client::{raw, read_to_close};
 use super::daemon::{Daemon, eventually};
@@ -156,6 +156,7 @@ pub fn settings(root: &Path) -> Settings {
         reread_access: None,
         streams: StreamLimits { most: 4, most_per_client: 4, idle: Duration::from_secs(10) },
         watches: WatchLimits { most: 4, most_per_client: 4, longest: Duration::from_secs(10) },
+        edge: Edge::default(),
     }
 }
 

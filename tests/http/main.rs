@@ -6,6 +6,7 @@
     reason = "a test that unwraps says where it failed"
 )]
 
+mod access;
 mod accuracy;
 mod admission;
 mod balancer;
@@ -22,6 +23,7 @@ mod leaving;
 mod lifecycle;
 mod load;
 mod mjpeg;
+mod monitoring;
 mod naming;
 mod picks;
 mod provisional;

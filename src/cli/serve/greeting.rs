@@ -7,18 +7,23 @@ use crate::engine::Engine;
 use crate::load::wire::percent_encoded;
 
 /// The server's addresses.
-pub fn greeting(address: SocketAddr) -> String {
-    format!("listening on http://{address}\nviewer: http://{}/\n", reachable(address))
+pub fn greeting(address: SocketAddr, is_tls: bool) -> String {
+    let scheme = scheme(is_tls);
+    format!("listening on {scheme}://{address}\nviewer: {scheme}://{}/\n", reachable(address))
+}
+
+fn scheme(is_tls: bool) -> &'static str {
+    if is_tls { "https" } else { "http" }
 }
 
 /// A command that gets a first frame; empty if there is no scene.
-pub fn example(engine: &Engine, address: SocketAddr, has_keys: bool) -> String {
+pub fn example(engine: &Engine, address: SocketAddr, is_tls: bool, has_keys: bool) -> String {
     // The first camera of the first scene, which the viewer also opens with.
     let Some(scene) = engine.scenes().into_iter().next() else { return String::new() };
     let camera = scene.cameras.first();
     let camera = camera.map(|camera| format!("camera={}&", percent_encoded(&camera.name)));
     let key = if has_keys { "-H 'Authorization: Bearer KEY' " } else { "" };
-    let url = format!("http://{}/v1/scenes/{}", reachable(address), scene.id);
+    let url = format!("{}://{}/v1/scenes/{}", scheme(is_tls), reachable(address), scene.id);
     format!("curl {key}-o frame.png '{url}/frame?{}w=1024&h=768'\n", camera.unwrap_or_default())
 }
 

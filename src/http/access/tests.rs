@@ -1,4 +1,9 @@
 use super::*;
+
+/// Reads a key file of lines.
+fn parse_keys(text: &str) -> Result<Vec<ApiKey>, String> {
+    keys::read(std::path::Path::new("keys"), text)
+}
 use axum::http::HeaderValue;
 
 fn line(name: &str, scope: &str, key: &str) -> String {

@@ -88,7 +88,7 @@ async fn blocking<T: Send + 'static>(
 
 impl Owner {
     /// Returns whether this key may use what `owner` has made.
-    fn is_theirs(&self, owner: Option<&str>) -> bool {
+    pub(crate) fn is_theirs(&self, owner: Option<&str>) -> bool {
         self.is_admin || owner.is_some() && owner == self.name.as_deref()
     }
 }
@@ -221,8 +221,11 @@ mod tests {
 
     #[test]
     fn jobs_are_their_keys_own() {
-        let owner =
-            |name: Option<&str>, is_admin| Owner { name: name.map(str::to_owned), is_admin };
+        let owner = |name: Option<&str>, is_admin| Owner {
+            name: name.map(str::to_owned),
+            is_admin,
+            ..Owner::default()
+        };
         let (ann, admin, anybody) =
             (owner(Some("ann"), false), owner(Some("root"), true), owner(None, true));
         for (by, is_anns) in [(Some("ann"), true), (Some("bob"), false), (None, false)] {

@@ -8,8 +8,8 @@ use tokio::sync::watch;
 
 use super::timeline::{Next, Timeline};
 use crate::engine::{
-    EncodedFrame, EngineError, FrameRequest, FrameTicket, LatestSlot, Origin, Pose, RequestId,
-    Resolution, SceneMark,
+    Client, EncodedFrame, EngineError, FrameRequest, FrameTicket, LatestSlot, Origin, Pose,
+    RequestId, Resolution, SceneMark,
 };
 use crate::http::App;
 use crate::http::frame::{resolve, wait};
@@ -40,6 +40,7 @@ pub struct Playback {
     slot: LatestSlot,
     /// Name of the request; the names of the frames derive from it.
     name: RequestId,
+    client: Client,
     request: FrameRequest,
     show: Show,
     mark: Option<SceneMark>,
@@ -81,6 +82,7 @@ impl Playback {
         Ok(Playback {
             slot: app.engine.latest_slot(origin.client),
             name: origin.request_id,
+            client: origin.client,
             request,
             show,
             mark,
@@ -132,13 +134,17 @@ impl Playback {
     }
 
     fn sent(&mut self, frame: &Arc<EncodedFrame>) {
-        self.app.metrics.frame(frame);
+        self.app.sent(self.client, frame);
         self.app.metrics.stream_frames.inc();
         self.last = Some(frame.clone());
     }
 
     /// Returns the next frame when it is due.
     pub async fn next(&mut self) -> Option<Arc<EncodedFrame>> {
+        if let Some(wait) = self.app.device_wait(self.client, Instant::now()) {
+            // A film whose key has no GPU time left stands still until it has.
+            self.pause(self.began.elapsed() + wait).await.ok()?;
+        }
         let result = match self.show {
             Show::Path { timeline, .. } => self.next_of_path(timeline).await,
             Show::View { least } => self.next_of_view(least).await,

@@ -181,7 +181,10 @@ impl Modify for Problems {
             kinds.dedup();
             let verb = axum::http::Method::from_bytes(method.to_uppercase().as_bytes());
             if access::needed(&verb.unwrap_or_default(), path).is_some() {
-                kinds.extend([Kind::Unauthorized, Kind::Forbidden]);
+                kinds.extend([Kind::Unauthorized, Kind::Forbidden, Kind::TooManyRequests]);
+                if access::draws(path) {
+                    kinds.push(Kind::DeviceQuota);
+                }
             }
             let mut by_status: BTreeMap<u16, Vec<Kind>> = BTreeMap::new();
             for kind in kinds {

@@ -1,36 +1,32 @@
-//! Limits how many messages a client may send, as a token bucket. Pure: the caller passes the time.
+//! Limits how many messages a client may send, by a token bucket. Pure: the caller passes the time.
 //!
-//! Each message takes a token; tokens return at a steady rate up to the size of the bucket. The bucket absorbs a burst after a
-//! network stall. A higher rate than any client needs is refused, because reading it would take a core.
+//! The bucket absorbs a burst after a network stall. A higher rate than any client needs is refused, because reading it would
+//! take a core.
 
 use std::time::Instant;
+
+use crate::http::bucket::{Bucket, Rate};
 
 /// Messages per second. Mice report up to a thousand times a second; no other source comes near.
 pub const MOST_PER_SECOND: u32 = 1000;
 /// Size of the bucket: messages at once.
 const PURSE: u32 = 4 * MOST_PER_SECOND;
 
+const RATE: Rate = Rate { per_second: MOST_PER_SECOND as f64, burst: PURSE as f64 };
+
 /// The token bucket of one client.
 #[derive(Debug)]
-pub struct Allowance {
-    coins: f64,
-    at: Instant,
-}
+pub struct Allowance(Bucket);
 
 impl Allowance {
     pub fn new(now: Instant) -> Self {
-        Self { coins: f64::from(PURSE), at: now }
+        Self(Bucket::full(RATE, now))
     }
 
     /// Takes a token for a message. Returns false if there is none.
     #[must_use]
     pub fn take(&mut self, now: Instant) -> bool {
-        let passed = now.saturating_duration_since(self.at).as_secs_f64();
-        self.at = now;
-        self.coins = (self.coins + passed * f64::from(MOST_PER_SECOND)).min(f64::from(PURSE));
-        let is_enough = self.coins >= 1.0;
-        self.coins = (self.coins - 1.0).max(0.0);
-        is_enough
+        self.0.take(now).is_ok()
     }
 }
 

@@ -60,7 +60,10 @@ impl Streams {
 impl Place {
     /// Returns `None` when the limit is reached.
     pub fn take(app: &Arc<App>, client: Client) -> Option<Place> {
-        app.streams.count.take(client).then(|| {
+        let most = app.settings.streams.most_per_client;
+        let most =
+            app.quotas_of(client).streams.map_or(most, |own| own.min(app.settings.streams.most));
+        app.streams.count.take_within(client, most).then(|| {
             app.metrics.streams_open.inc();
             Place { app: app.clone(), client }
         })

@@ -34,6 +34,7 @@ pub struct Session {
     id: String,
     /// Name of the connection.
     name: RequestId,
+    client: Client,
     mark: Option<SceneMark>,
     source: SplitStream<WebSocket>,
     send_queue: SendQueue,
@@ -122,6 +123,7 @@ impl Session {
             app,
             id,
             name,
+            client,
         }
     }
 
@@ -347,6 +349,10 @@ impl Session {
             return Ok(());
         }
         let Some((seq, params, quality)) = self.schedule.wanted(now) else { return Ok(()) };
+        if let Some(wait) = self.app.device_wait(self.client, now) {
+            self.retry_at = Some(now + wait);
+            return Ok(());
+        }
         if !self.has_replaceable() && !self.has_room() {
             return Ok(());
         }
@@ -450,7 +456,7 @@ impl Session {
             self.push(Message::Ping(axum::body::Bytes::new()))?;
         }
         self.pacer.sent(self.frames, frame.bytes.len() as u64, now, share);
-        self.app.metrics.frame(&frame);
+        self.app.sent(self.client, &frame);
         self.app.metrics.stream_frames.inc();
         self.push(message)
     }

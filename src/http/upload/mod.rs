@@ -89,7 +89,7 @@ pub async fn create(
         )
         .accepted("restart the server without --no-uploads"));
     }
-    let share = app.uploads.admit(owner.name.as_deref())?;
+    let share = app.uploads.admit(owner.name.as_deref(), &owner.quotas)?;
     // Reserve a given id before the body is received, so that a clash is answered at once.
     let reservation = target.id.as_deref().map(|id| reserve(&app, id)).transpose()?;
     let limit = app.settings.max_upload_bytes;
@@ -141,11 +141,13 @@ fn refuse_while_draining(app: &App) -> Result<(), Problem> {
 )]
 pub async fn retry(
     State(app): State<Arc<App>>,
+    Extension(owner): Extension<Owner>,
     Segments(id): Segments<String>,
     _: NoQuery,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     refuse_while_draining(&app)?;
+    owner.check_scene(&app, &id)?;
     match app.registry.get(&id) {
         Some(Entry::Failed { source: Some(_), .. }) => {}
         Some(Entry::Failed { problem, .. }) => {
@@ -584,7 +586,7 @@ mod tests {
         let patience = body::Patience::new(Duration::from_secs(1));
         let limits =
             quota::UploadLimits { scenes: 1, scenes_per_key: 1, bytes: 99, bytes_per_key: 99 };
-        let share = quota::Quota::new(limits).admit(None).unwrap();
+        let share = quota::Quota::new(limits).admit(None, &Default::default()).unwrap();
         let admission = Admission::default();
         let mut budget = Budget { left: 10, limit: 10, share, admission, patience };
         budget.take(10).unwrap();

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use parking_lot::Mutex;
 
+use crate::http::access::Quotas;
 use crate::http::problem::{Kind, Problem};
 
 /// Limits on uploads. The limits per key apply where keys are required.
@@ -14,6 +15,17 @@ pub struct UploadLimits {
     pub scenes_per_key: u64,
     pub bytes: u64,
     pub bytes_per_key: u64,
+}
+
+impl UploadLimits {
+    /// Returns the limits for a key that has its own.
+    fn within(self, own: &Quotas) -> UploadLimits {
+        UploadLimits {
+            scenes_per_key: own.scenes.unwrap_or(self.scenes_per_key),
+            bytes_per_key: own.bytes.unwrap_or(self.bytes_per_key),
+            ..self
+        }
+    }
 }
 
 /// Number and bytes of uploads.
@@ -65,44 +77,49 @@ impl Quota {
         self.kept.lock().remove(id);
     }
 
+    /// Returns the name of the key that uploaded a scene: `None` if there is no such upload, `Some(None)` if it had no key.
+    pub fn owner(&self, id: &str) -> Option<Option<String>> {
+        self.kept.lock().get(id).map(|share| share.key.clone())
+    }
+
     pub fn held(&self) -> Held {
         self.tally.lock().all
     }
 
-    /// Reserves one scene for the key that uploads it.
+    /// Reserves one scene for the key that uploads it, within the key's own limits.
     ///
     /// # Errors
     /// 429 when the number of scenes has reached its limit.
-    pub fn admit(&self, key: Option<&str>) -> Result<Share, Problem> {
+    pub fn admit(&self, key: Option<&str>, own: &Quotas) -> Result<Share, Problem> {
+        let limits = self.limits.within(own);
         let mut tally = self.tally.lock();
         let full = |found: u64, limit: u64, whose: &str| {
             let detail = format!("there are {found} uploaded scenes{whose}; the limit is {limit}");
             Problem::new(Kind::TooManyScenes, detail)
                 .accepted("DELETE an uploaded scene (/v1/scenes/{id}), then upload again")
         };
-        if tally.all.scenes >= self.limits.scenes {
-            return Err(full(tally.all.scenes, self.limits.scenes, ""));
+        if tally.all.scenes >= limits.scenes {
+            return Err(full(tally.all.scenes, limits.scenes, ""));
         }
         if let Some(key) = key {
             let of_key = tally.of_key.get(key).copied().unwrap_or_default();
-            if of_key.scenes >= self.limits.scenes_per_key {
-                return Err(full(of_key.scenes, self.limits.scenes_per_key, " of this key"));
+            if of_key.scenes >= limits.scenes_per_key {
+                return Err(full(of_key.scenes, limits.scenes_per_key, " of this key"));
             }
         }
         tally.add(key, Held { scenes: 1, bytes: 0 });
         drop(tally);
-        Ok(self.share(key, 0))
+        Ok(self.share(key, 0, limits))
     }
 
     /// Counts an upload that is already on disk, even beyond the limits.
     pub fn known(&self, key: Option<&str>, bytes: u64) -> Share {
         self.tally.lock().add(key, Held { scenes: 1, bytes });
-        self.share(key, bytes)
+        self.share(key, bytes, self.limits)
     }
 
-    fn share(&self, key: Option<&str>, bytes: u64) -> Share {
-        let (limits, tally) = (self.limits, self.tally.clone());
-        Share { limits, tally, key: key.map(str::to_owned), bytes }
+    fn share(&self, key: Option<&str>, bytes: u64, limits: UploadLimits) -> Share {
+        Share { limits, tally: self.tally.clone(), key: key.map(str::to_owned), bytes }
     }
 }
 
@@ -186,28 +203,46 @@ mod tests {
     #[test]
     fn scenes_are_counted_in_all_and_for_each_key() {
         let quota = Quota::new(LIMITS);
-        let first = quota.admit(Some("a")).unwrap();
-        let _second = quota.admit(Some("a")).unwrap();
-        let refused = quota.admit(Some("a")).err().unwrap();
+        let first = quota.admit(Some("a"), &Quotas::default()).unwrap();
+        let _second = quota.admit(Some("a"), &Quotas::default()).unwrap();
+        let refused = quota.admit(Some("a"), &Quotas::default()).err().unwrap();
         assert_eq!(refused.status(), 429);
         assert!(refused.detail.contains("2 uploaded scenes of this key"), "{}", refused.detail);
-        let _third = quota.admit(Some("b")).unwrap();
+        let _third = quota.admit(Some("b"), &Quotas::default()).unwrap();
         assert!(
-            quota.admit(None).err().unwrap().detail.contains("3 uploaded scenes; the limit is 3")
+            quota
+                .admit(None, &Quotas::default())
+                .err()
+                .unwrap()
+                .detail
+                .contains("3 uploaded scenes; the limit is 3")
         );
         drop(first);
         assert_eq!(quota.held(), Held { scenes: 2, bytes: 0 });
-        assert!(quota.admit(Some("a")).is_ok());
+        assert!(quota.admit(Some("a"), &Quotas::default()).is_ok());
+    }
+
+    #[test]
+    fn a_key_may_have_limits_of_its_own() {
+        let quota = Quota::new(LIMITS);
+        let own = Quotas { scenes: Some(1), bytes: Some(10), ..Quotas::default() };
+        let mut only = quota.admit(Some("a"), &own).unwrap();
+        assert!(quota.admit(Some("a"), &own).is_err());
+        only.take(10).unwrap();
+        assert_eq!(only.take(1).unwrap_err().status(), 507);
+        quota.keep("town", only);
+        assert_eq!(quota.owner("town"), Some(Some("a".to_owned())));
+        assert_eq!(quota.owner("grid"), None);
     }
 
     #[test]
     fn bytes_are_counted_in_all_and_for_each_key() {
         let quota = Quota::new(LIMITS);
-        let mut a = quota.admit(Some("a")).unwrap();
+        let mut a = quota.admit(Some("a"), &Quotas::default()).unwrap();
         a.take(60).unwrap();
         let refused = a.take(1).unwrap_err();
         assert_eq!(refused.status(), 507);
-        let mut b = quota.admit(Some("b")).unwrap();
+        let mut b = quota.admit(Some("b"), &Quotas::default()).unwrap();
         b.take(40).unwrap();
         let refused = b.take(5).unwrap_err();
         assert!(refused.detail.contains("needs 45 bytes"), "{}", refused.detail);
