@@ -390,3 +390,43 @@ fn suns_and_lamps_cast_shadows_together() {
     let aside = case.draw_wide(&look([-3.4, 1.4, -2.6], [0.0, -0.4, 0.0], 55.0), splats());
     assert_eq!(maps(&aside.receipt), Err(USED_AGAIN.to_owned()));
 }
+
+/// Across the shadow of a straight edge, the share of a lamp's light follows that of its disc: below the lamp, and aside of it, where its maps see the disc as an ellipse.
+#[test]
+fn penumbrae_of_lamps_are_as_wide_as_their_discs() {
+    for aside in [0.0, 1.8] {
+        let mut wall = Shape::quad(
+            DVec3::new(-6.0 + 0.5 * aside, 0.0, 3.0),
+            DVec3::X * 6.0,
+            DVec3::NEG_Z * 6.0,
+            1.0,
+        );
+        wall.uvs.clear();
+        wall.colors = vec![[200, 200, 190, 255]; 4];
+        let scene = json!({
+            "assets": { "wall": { "file": "wall.ply" }, "floor": { "file": "floor.ply" } },
+            "nodes": [{ "asset": "floor" }, { "asset": "wall" }],
+            "lights": [lamp([0.0, 1.0, 0.0], "#ffffff", 0.15)],
+        });
+        let files = [("wall.ply", wall.ply()), ("floor.ply", floor(4.0, -1.0).ply())];
+        let case = Case::new(&format!("lamp-edge-{aside}"), &files, &scene);
+        // From below the wall, along the edge of its shadow.
+        let view = look([aside, -0.3, 1.2], [aside, -1.0, 0.0], 40.0);
+        let frames = case.draw_with(&view, splats());
+        let twin = oracle(&case, &view, splats()).to_rgba8();
+        let light = |[r, _, _, _]: [u8; 4]| (f64::from(r) / 255.0).powf(2.2);
+        let (mut partly, mut sum, mut most) = (0, 0.0, 0.0f64);
+        let brightest = twin.iter().copied().map(light).fold(0.0, f64::max);
+        for (found, exact) in
+            frames.color.iter().copied().map(light).zip(twin.iter().copied().map(light))
+        {
+            partly += usize::from(exact > 0.05 * brightest && exact < 0.95 * brightest);
+            sum += (found - exact).powi(2);
+            most = most.max((found - exact).abs());
+        }
+        let off = (sum / frames.color.len() as f64).sqrt() / brightest;
+        println!("{aside}: {partly} pixels in part, off by {off} and {}", most / brightest);
+        assert!(partly > 1000, "{partly}");
+        assert!(off < 0.04 && most / brightest < 0.25, "{aside}: {off}, {}", most / brightest);
+    }
+}

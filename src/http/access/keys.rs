@@ -84,8 +84,12 @@ struct KeyTable {
 }
 
 fn parse_tables(text: &str) -> Result<Vec<ApiKey>, String> {
-    // The error of `toml` shows the line.
-    let file: KeyFile = toml::from_str(text).map_err(|error| error.to_string())?;
+    // The text of the error would quote the file, and what is in the wrong place may be a key.
+    let file: KeyFile = toml::from_str(text).map_err(|error| {
+        let at = error.span().map_or(0, |span| span.start);
+        let line = 1 + text.bytes().take(at).filter(|byte| *byte == b'\n').count();
+        format!("line {line}: {}", error.message())
+    })?;
     let mut keys: Vec<ApiKey> = Vec::new();
     for table in file.key {
         let table = table.into_inner();
