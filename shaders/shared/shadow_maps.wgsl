@@ -95,7 +95,7 @@ fn from_axis(v: vec3<f32>, is_x: bool, is_y: bool) -> vec3<f32> {
     return select(select(v.zxy, v.yzx, is_y), v, is_x);
 }
 
-// The same in camera space of the map: right, up, forward.
+// Turns a vector of `from_axis` into the map's camera space: right, up, forward.
 fn in_lamp_map(v: vec3<f32>, is_back: bool) -> vec3<f32> {
     return select(vec3<f32>(v.z, v.y, v.x), vec3<f32>(v.y, v.z, -v.x), is_back);
 }
@@ -131,7 +131,7 @@ fn seen_by_lamp(light: Light, place: vec3<f32>, n: vec3<f32>, error: f32) -> See
     let aside = seen.at - vec2<f32>(middle);
     let longer = length(p) / z - 1.0;
     seen.lean = aside * (sqrt(longer) / max(length(aside), 1e-6));
-    // What hides a ball may stand close to it. The map has to show it.
+    // An occluder may stand close to the ball, and the map has to show it.
     let border = middle - max(abs(aside.x), abs(aside.y)) - 1.0;
     seen.farthest = select(NARROW_PX, clamp(border / (1.0 + longer), NARROW_PX, WIDE_PX), map.spread > 0.0);
     return seen;

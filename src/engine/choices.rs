@@ -98,7 +98,7 @@ pub fn grounds(
         spacing_px: spacing_px.map(|px| px * magnification(request)),
         parts: settings.decisive_parts(),
         covered: auto::covered_share(patches, view),
-        outgrow: auto::outgrow(patches, view),
+        outgrow: auto::outgrow(patches, spacing_px, view),
         are_splats_plain: !settings.has_splat_choices() && !loaded.has_clip_lines(),
         accepted_px: settings.decisive_error().px(),
         has_kernels: true,

@@ -410,7 +410,8 @@ fn decide(
     });
     let pulled = reconstruction.pull_push().filter(|_| has_samples);
     let refused = refused.or_else(|| pulled.and_then(|_| no_pyramid(&request, &adapter)));
-    let outgrow = |view: &View| auto::outgrow(loaded.patches(GeometryKind::Samples), view);
+    let patches = loaded.patches(GeometryKind::Samples);
+    let outgrow = |view: &View| auto::outgrow(patches, auto::spacing_px(patches, view), view);
     let refused = refused.or_else(|| {
         let too_few = "fewer than eight samples lie along the shorter side of the image";
         (pulled.is_some() && seen.iter().any(outgrow)).then_some(too_few)

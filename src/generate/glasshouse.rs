@@ -112,7 +112,7 @@ const BALLS: [(&str, [f64; 3], f64); 6] = [
     ("blue", [0.1, 0.145, 0.41], 0.05),
 ];
 
-/// What lights a greenhouse.
+/// The time of day of a greenhouse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hour {
     Noon,

@@ -323,8 +323,8 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
     }
 }
 
-/// What is added to the keys by which thin lines, small nodes and light weights are drawn with a probability: exposures of one frame draw different ones, evenly
-/// by the golden ratio, so that their mean is what the probability says. 0 for a frame of one exposure.
+/// The offset of an exposure's keys, by which thin lines, small nodes and light weights are drawn with a probability. Exposures of one frame draw different ones:
+/// multiples of the golden ratio spread the offsets evenly. 0 for a frame of one exposure.
 fn dither(task: &FrameTask, number: u32) -> f32 {
     let exposure = task.round.map_or(0, |round| round.first + number);
     // Nearest below, since 1 would be no key.

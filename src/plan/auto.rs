@@ -172,11 +172,11 @@ pub fn spacing_px(patches: &[Patch], view: &View) -> Option<f64> {
     reached.map(|(px, _)| *px)
 }
 
-/// Whether samples lie so far apart that pull-push cannot reconstruct the image from those in it: fewer than [`LEAST_ALONG`] along its shorter side, or none.
+/// Whether samples lie so far apart that pull-push cannot reconstruct the image from those in it: fewer than [`LEAST_ALONG`] along its shorter side, or none. `spacing_px`: what [`spacing_px`] tells.
 /// Scenes without samples of their own have patches of none: nodes of their point trees lie about a pixel apart.
-pub fn outgrow(patches: &[Patch], view: &View) -> bool {
+pub fn outgrow(patches: &[Patch], spacing_px: Option<f64>, view: &View) -> bool {
     let widest_px = f64::from(view.width.min(view.height)) / LEAST_ALONG;
-    !patches.is_empty() && spacing_px(patches, view).is_none_or(|px| px > widest_px)
+    !patches.is_empty() && spacing_px.is_none_or(|px| px > widest_px)
 }
 
 /// Returns the share of a picture that samples cover, each a square of its spacing; 1 at most.
@@ -346,7 +346,8 @@ mod tests {
         let near = |spacing: f64| [patch(DVec3::ZERO, spacing)];
         for height in [64, 1024] {
             // The image is as high as the distance.
-            let of = |patches: &[Patch]| outgrow(patches, &view(2.0, height));
+            let view = view(2.0, height);
+            let of = |patches: &[Patch]| outgrow(patches, spacing_px(patches, &view), &view);
             assert!(!of(&near(0.24)) && of(&near(0.26)), "{height}");
             assert!(of(&[patch(DVec3::X * 50.0, 0.01)]), "nothing in view");
             assert!(!of(&[]), "a scene of meshes");

@@ -43,28 +43,33 @@ fn the_same_request_twice_and_in_a_fresh_engine() {
     }
 }
 
+/// Draws requests together until a batch has had `wanted` frames, twenty times at most, and compares each frame with the one that is drawn alone. Returns the largest
+/// batch. Its size depends on timing. The frames do not.
+fn largest_batch(studio: &Studio, busy: &str, requests: &[FrameRequest], wanted: u32) -> u32 {
+    let alone: Vec<Vec<u8>> = requests.iter().map(|request| studio.bytes(request)).collect();
+    let mut largest = 0;
+    for _ in 0..20 {
+        let busy = studio.keep_busy(busy);
+        let tickets: Vec<_> = requests.iter().map(|request| studio.submit(request)).collect();
+        for (ticket, (request, bytes)) in tickets.into_iter().zip(requests.iter().zip(&alone)) {
+            let frame = ticket.wait().unwrap();
+            largest = largest.max(frame.receipt.batch_size);
+            same(&frame.bytes, bytes, &format!("{request:?}"));
+        }
+        drop(busy);
+        if largest >= wanted {
+            break;
+        }
+    }
+    largest
+}
+
 #[test]
 fn a_batch_changes_no_frame() {
     for force_32_bit in [false, true] {
         let studio = Studio::with(|config| config.force_32_bit = force_32_bit);
         studio.load_two();
-        let requests = mixed();
-        let alone: Vec<Vec<u8>> = requests.iter().map(|request| studio.bytes(request)).collect();
-        let mut largest = 0;
-        // The size of batches depends on timing. The frames do not.
-        for _ in 0..20 {
-            let busy = studio.keep_busy("solid");
-            let tickets: Vec<_> = requests.iter().map(|request| studio.submit(request)).collect();
-            for (ticket, (request, bytes)) in tickets.into_iter().zip(requests.iter().zip(&alone)) {
-                let frame = ticket.wait().unwrap();
-                largest = largest.max(frame.receipt.batch_size);
-                same(&frame.bytes, bytes, &format!("{request:?}"));
-            }
-            drop(busy);
-            if largest >= 6 {
-                break;
-            }
-        }
+        let largest = largest_batch(&studio, "solid", &mixed(), 6);
         assert!(largest >= 6, "batches of {largest} at most");
     }
 }
@@ -96,21 +101,7 @@ fn views_that_share_passes_change_no_frame() {
                     FrameRequest { settings, ..request }
                 })
                 .collect();
-            let alone: Vec<Vec<u8>> = requests.iter().map(|of| studio.bytes(of)).collect();
-            let mut largest = 0;
-            for _ in 0..20 {
-                let busy = studio.keep_busy("ball");
-                let tickets: Vec<_> = requests.iter().map(|of| studio.submit(of)).collect();
-                for (ticket, bytes) in tickets.into_iter().zip(&alone) {
-                    let frame = ticket.wait().unwrap();
-                    largest = largest.max(frame.receipt.batch_size);
-                    same(&frame.bytes, bytes, &format!("{reconstruct:?}, {side} px"));
-                }
-                drop(busy);
-                if largest >= 4 {
-                    break;
-                }
-            }
+            let largest = largest_batch(&studio, "ball", &requests, 4);
             // Painted frames are drawn one by one.
             assert!(largest >= 4 || reconstruct == Reconstruct::Painted, "{reconstruct:?}");
         }

@@ -103,18 +103,8 @@ fn with_ids(files: Vec<PathBuf>) -> Vec<(String, PathBuf)> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::tests::flags;
     use super::*;
-    use clap::Parser;
-
-    #[derive(Parser)]
-    struct Line {
-        #[command(flatten)]
-        args: ServeArgs,
-    }
-
-    fn flags(line: &[&str]) -> ServeArgs {
-        Line::parse_from(std::iter::once(&"serve").chain(line)).args
-    }
 
     #[test]
     fn scenes_at_the_start() {

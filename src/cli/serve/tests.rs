@@ -7,7 +7,7 @@ struct Line {
     args: ServeArgs,
 }
 
-fn flags(line: &[&str]) -> ServeArgs {
+pub(super) fn flags(line: &[&str]) -> ServeArgs {
     Line::parse_from(std::iter::once(&"serve").chain(line)).args
 }
 
