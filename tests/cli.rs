@@ -458,6 +458,114 @@ fn render_writes_to_standard_output() {
     assert!(generated.status.success() && shell.path("ball.ply").exists(), "{said}");
 }
 
+/// A box around the eye, with a colour at each corner.
+fn room() -> String {
+    let mut text = String::from("ply\nformat ascii 1.0\nelement vertex 8\n");
+    for axis in ["x", "y", "z"] {
+        writeln!(text, "property float {axis}").unwrap();
+    }
+    for color in ["red", "green", "blue"] {
+        writeln!(text, "property uchar {color}").unwrap();
+    }
+    text += "element face 12\nproperty list uchar int vertex_indices\nend_header\n";
+    for corner in 0..8u32 {
+        let [x, y, z] = [0, 1, 2].map(|axis| corner >> axis & 1);
+        let side = |bit: u32| 40 + 200 * bit;
+        let place = [x, y, z].map(|bit| f64::from(bit) * 4.0 - 2.0);
+        let [px, py, pz] = place;
+        writeln!(text, "{px} {py} {pz} {} {} {}", side(x), side(y), side(z)).unwrap();
+    }
+    for [a, b, c, d] in
+        [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
+    {
+        writeln!(text, "3 {a} {b} {c}\n3 {a} {c} {d}").unwrap();
+    }
+    text
+}
+
+/// Faces of a cube that are frames, whose borders fit together, and an image of the whole sphere that shows the same.
+#[test]
+fn panoramas_show_what_frames_show() {
+    let shell = Shell::new();
+    std::fs::write(shell.path("room.ply"), room()).unwrap();
+    let pose = ["room.ply", "--up", "y", "--eye", "0.3,0.2,-0.4", "--target", "1.3,0.2,-3"];
+    let cube = ["--layout", "cube", "--width", "96", "-o", "a.png"];
+    assert!(shell.run(&[&["panorama"][..], &pose, &cube].concat()).status.success());
+    let face = |name: &str| {
+        let face = image::open(shell.path(&format!("a-{name}.png"))).unwrap().into_rgba8();
+        assert_eq!(face.dimensions(), (96, 96));
+        face
+    };
+    let near = |a: &image::Rgba<u8>, b: &image::Rgba<u8>, most: u8, what: &str| {
+        let worst = a.0.iter().zip(b.0).map(|(a, b)| a.abs_diff(b)).max().unwrap();
+        assert!(worst <= most, "{what}: {a:?} {b:?}");
+    };
+    let front = face("front");
+    let frame = ["--fov", "90", "--size", "96x96", "-o", "b.png"];
+    assert!(shell.run(&[&["render"][..], &pose, &frame].concat()).status.success());
+    let rendered = image::open(shell.path("b.png")).unwrap().into_rgba8();
+    let same = front.pixels().zip(rendered.pixels()).filter(|(a, b)| a == b).count();
+    assert!(same * 100 > 99 * 96 * 96, "{same} of 9216 pixels are those of a frame");
+    // Neighbours at borders show the same directions, apart from a pixel's step.
+    let [right, back, left, up, down] = ["right", "back", "left", "up", "down"].map(face);
+    for at in 2..94 {
+        let beside = [(&front, &right), (&right, &back), (&back, &left), (&left, &front)];
+        for (number, (one, next)) in beside.into_iter().enumerate() {
+            near(one.get_pixel(95, at), next.get_pixel(0, at), 12, &format!("{number} {at}"));
+        }
+        near(front.get_pixel(at, 0), up.get_pixel(at, 95), 12, &format!("up {at}"));
+        near(front.get_pixel(at, 95), down.get_pixel(at, 0), 12, &format!("down {at}"));
+    }
+    let sphere = ["--width", "256", "-o", "c.png"];
+    assert!(shell.run(&[&["panorama"][..], &pose, &sphere].concat()).status.success());
+    let bytes = std::fs::read(shell.path("c.png")).unwrap();
+    let note = b"GPano:ProjectionType=\"equirectangular\"";
+    assert!(bytes.windows(note.len()).any(|window| window == note));
+    let whole = image::load_from_memory(&bytes).unwrap().into_rgba8();
+    assert_eq!(whole.dimensions(), (256, 128));
+    for (column, face) in [(128, &front), (192, &right), (0, &back), (64, &left)] {
+        near(whole.get_pixel(column, 64), face.get_pixel(48, 48), 12, &format!("column {column}"));
+    }
+    for row in 0..128 {
+        near(whole.get_pixel(0, row), whole.get_pixel(255, row), 12, &format!("row {row}"));
+    }
+    let told = shell.complaint(&[&["panorama"][..], &pose, &["-o", "d.jpg"]].concat());
+    assert!(told.contains("must end with .png"), "{told}");
+    let large = ["--width", "99999", "-o", "d.png"];
+    let told = shell.complaint(&[&["panorama"][..], &pose, &large].concat());
+    assert!(told.contains("accepted: up to "), "{told}");
+}
+
+#[test]
+fn two_eyes_see_one_scene() {
+    let shell = Shell::new();
+    std::fs::write(shell.path("room.ply"), room()).unwrap();
+    let pose = ["room.ply", "--up", "y", "--eye", "0.3,0.2,1.4", "--target", "0.3,0.2,-2"];
+    let size = ["--size", "64x48"];
+    let of = |command: &[&str], file: &str| {
+        let output = shell.run(&[command, &pose, &size, &["-o", file]].concat());
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        image::open(shell.path(file)).unwrap().into_rgba8()
+    };
+    let both = of(&["stereo", "--eye-distance", "0.2"], "a.png");
+    assert_eq!(both.dimensions(), (128, 48));
+    let left = of(&["render", "--eye-offset", "-0.1"], "b.png");
+    let right = of(&["render", "--eye-offset", "0.1"], "c.png");
+    assert!(left != right);
+    for (x, y, pixel) in both.enumerate_pixels() {
+        let eye = if x < 64 { &left } else { &right };
+        assert_eq!(pixel, eye.get_pixel(x % 64, y), "{x} {y}");
+    }
+    let above = of(&["stereo", "--layout", "over-under", "--eye-distance", "0.2"], "d.png");
+    assert_eq!(above.dimensions(), (64, 96));
+    assert_eq!(above.get_pixel(9, 57), right.get_pixel(9, 9));
+    let red = of(&["stereo", "--layout", "anaglyph"], "e.png");
+    assert_eq!(red.dimensions(), (64, 48));
+    let told =
+        shell.complaint(&[&["stereo", "--eye-offset", "1"], &pose[..], &["-o", "f.png"]].concat());
+    assert!(told.contains("--eye-distance"), "{told}");
+}
+
 /// A large image in one file, and as a pyramid of tiles whose pixels are those of the file.
 #[test]
 fn tiles_make_up_an_image() {

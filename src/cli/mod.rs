@@ -9,12 +9,15 @@ pub mod inspect;
 pub mod load;
 mod local;
 mod out;
+pub mod panorama;
 pub mod path;
 pub mod pick;
 #[cfg(test)]
 mod reference;
 pub mod render;
 pub mod serve;
+pub mod sign;
+pub mod stereo;
 pub mod tiles;
 
 use std::process::ExitCode;
@@ -49,6 +52,10 @@ enum Command {
     Path(Box<path::PathArgs>),
     /// Draw an image larger than a frame can be, as one PNG file or as tiles for a Deep Zoom viewer
     Tiles(Box<tiles::TilesArgs>),
+    /// Draw all that an eye can see: an equirectangular image, or the six faces of a cube
+    Panorama(Box<panorama::PanoramaArgs>),
+    /// Draw what two eyes see as one image: side by side, one above the other, or for red and cyan glasses
+    Stereo(Box<stereo::StereoArgs>),
     /// Report what a scene or asset contains, how much GPU memory it needs, and which passes would draw it
     Inspect(inspect::InspectArgs),
     /// Build the point trees that --lod spt draws, and store them in the cache
@@ -59,6 +66,8 @@ enum Command {
     Accuracy(Box<accuracy::AccuracyArgs>),
     /// Measure a daemon's latency at given request rates, or find the rate at which it saturates
     Load(Box<load::LoadArgs>),
+    /// Sign an address, so that whoever has it may read it until a time, without a key
+    Sign(sign::SignArgs),
     /// Print the HTTP contract
     #[command(hide = true)]
     Openapi,
@@ -75,11 +84,14 @@ pub fn run() -> anyhow::Result<ExitCode> {
         Command::Pick(args) => pick::run(&args),
         Command::Path(args) => path::run(*args),
         Command::Tiles(args) => tiles::run(*args),
+        Command::Panorama(args) => panorama::run(*args),
+        Command::Stereo(args) => stereo::run(*args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Bake(args) => bake::run(&args),
         Command::Generate(args) => generate::run(args),
         Command::Accuracy(args) => accuracy::run(&args),
         Command::Load(args) => return load::run(&args),
+        Command::Sign(args) => sign::run(&args),
         Command::Openapi => out::print(&crate::http::openapi_yaml()?),
     }?;
     Ok(ExitCode::SUCCESS)

@@ -43,7 +43,7 @@ const LONG_BAKE: Duration = Duration::from_millis(500);
 /// Wait after which a word tells why.
 const LONG_WAIT: Duration = Duration::from_secs(5);
 
-fn format_of(file: &Path) -> anyhow::Result<ImageFormat> {
+pub(super) fn format_of(file: &Path) -> anyhow::Result<ImageFormat> {
     let extension = file.extension().unwrap_or_default().to_string_lossy();
     ImageFormat::named(&extension).with_context(|| {
         format!(

@@ -23,7 +23,7 @@ use super::cache::CacheArgs;
 use super::out::say;
 use crate::assets::ReadOptions;
 use crate::engine::{Engine, EngineConfig, PrimeConfig};
-use crate::http::access::{Access, keys};
+use crate::http::access::{Access, Reread, keys};
 use crate::http::server::{serve, serve_monitoring};
 use crate::http::{App, Settings, StreamLimits, UploadLimits, WatchLimits};
 use crate::memory::{self, HostMemory};
@@ -36,6 +36,9 @@ mod files;
 mod greeting;
 mod patience;
 mod state;
+
+/// Longest wait for the last lines of the access and the audit log when the daemon stops.
+const LOG_PATIENCE: Duration = Duration::from_secs(2);
 
 /// Settings of the daemon; `None` marks a setting that was not given.
 #[derive(Args, Clone, Debug, Default, PartialEq, Deserialize)]
@@ -240,7 +243,7 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     let is_tls = args.tls_cert.is_some();
     let has_keys = matches!(access, Access::Keys(_));
     let settings = settings(&args, root.clone(), access)?;
-    let settings = Settings { reread_access: reread(&args, address), ..settings };
+    let settings = Settings { reread: reread(&args, address), ..settings };
     let start = start_scenes(&args, &root)?;
     let jobs_config = jobs_config(&args)?;
     let is_taken = |error: &std::io::Error| error.kind() == std::io::ErrorKind::AddrInUse;
@@ -259,6 +262,7 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
 
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let jobs = open_jobs(&engine, jobs_config, args.state.is_some())?;
+    let logs = [settings.edge.access_log.clone(), settings.edge.audit_log.clone()];
     let app = App::new(engine, settings, jobs);
     if let Some(listener) = monitoring {
         tracing::info!(address = %listener.local_addr()?, "metrics are served");
@@ -269,6 +273,11 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     let result = runtime.block_on(serve(app, listener, start, listening, ready));
     // Do not wait for a scene that is still being read.
     runtime.shutdown_timeout(Duration::from_millis(100));
+    for log in logs.iter().flatten() {
+        if !log.flush(LOG_PATIENCE) {
+            tracing::error!("the last lines of a log are not written");
+        }
+    }
     drop(claim);
     result
 }
@@ -461,7 +470,7 @@ fn settings(args: &ServeArgs, root: PathBuf, access: Access) -> anyhow::Result<S
         drain: seconds("drain-seconds", args.drain_seconds, 20, 0)?,
         drain_delay: seconds("drain-delay", args.drain_delay, 0, 0)?,
         uploads: args.no_uploads != Some(true),
-        reread_access: None,
+        reread: Reread::default(),
         streams: StreamLimits {
             most: number("max-streams", args.max_streams, 64, 0)?,
             most_per_client: number("max-streams-per-client", args.max_streams_per_client, 16, 1)?,

@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use glam::DVec2;
+
 use super::loaded::Loaded;
 use super::viewpoint::{shown_part, view_of};
 use super::{EngineError, FrameRequest, Pose};
@@ -42,7 +44,8 @@ pub fn exposed(
     let view = |(number, exposure): (usize, Exposure)| -> Result<View, EngineError> {
         let view: View = match &request.pose {
             Pose::Moving { exposed, .. } if !exposed.is_empty() => {
-                view_of(&exposed[number * exposed.len() / count as usize], request)?.0
+                let middle = view_of(&exposed[number * exposed.len() / count as usize], request)?.0;
+                from_eye(loaded, settings, &middle)?.map_or(middle, |(view, _)| view)
             }
             _ => *whole,
         };
@@ -75,24 +78,12 @@ fn focus(
         let reason = "the camera's rays are parallel, so that it has no lens".to_owned();
         return Err(bad(reason, "0, or a camera in perspective".to_owned()));
     }
-    let own = || Some(whole.focus).filter(|&focus| focus > 0.0);
-    let middle = || {
-        let bounds = loaded.extent.bounds;
-        let depth = -whole.to_view(0.5 * (bounds.min + bounds.max)).z;
-        Some(depth).filter(|depth| depth.is_finite() && *depth > 0.0)
+    // As the receipt has it.
+    let exact = |distance| settings.focused_at(distance).focus();
+    let Some(focus) = plane(loaded, settings.focus(), whole).and_then(exact) else {
+        return Err(no_plane(Settings::LENS, Settings::FOCUS, "what is sharp"));
     };
-    let decided = settings.focus().or_else(own).or_else(middle).and_then(|distance| {
-        // As the receipt has it.
-        settings.focused_at(distance).focus()
-    });
-    let Some(focus) = decided else {
-        let reason = format!(
-            "the view has no target, and the middle of the scene is not before the eye, so that `{}` must say what is sharp",
-            Settings::FOCUS
-        );
-        return Err(bad(reason, format!("a value together with `{}`", Settings::FOCUS)));
-    };
-    let reach = (0.5 * diameter * whole.focal_px / focus).max_element();
+    let reach = shift_px(whole, 0.5 * diameter, focus);
     if reach > f64::from(MOST_WHOLE_PX) {
         let most = diameter * f64::from(MOST_WHOLE_PX) / reach;
         let reason = format!(
@@ -101,6 +92,75 @@ fn focus(
         return Err(bad(reason, format!("at most {most:.3e} with this focus distance")));
     }
     Ok(focus)
+}
+
+/// Distance of the plane whose points keep their places in the image: the given one, that of the camera's target, or that of the middle of the scene.
+fn plane(loaded: &Loaded, given: Option<f64>, whole: &View) -> Option<f64> {
+    let own = || Some(whole.focus).filter(|&focus| focus > 0.0);
+    let middle = || {
+        let bounds = loaded.extent.bounds;
+        let depth = -whole.to_view(0.5 * (bounds.min + bounds.max)).z;
+        Some(depth).filter(|depth| depth.is_finite() && *depth > 0.0)
+    };
+    given.or_else(own).or_else(middle)
+}
+
+fn no_plane(parameter: &'static str, distance: &str, what: &str) -> EngineError {
+    EngineError::BadParameter {
+        parameter,
+        reason: format!(
+            "the view has no target, and the middle of the scene is not before the eye, so that `{distance}` must say {what}"
+        ),
+        accepted: format!("a value together with `{distance}`"),
+    }
+}
+
+/// Pixels by which the image of what is infinitely far moves if the eye moves by `offset`, and what is `distance` away keeps its place.
+fn shift_px(whole: &View, offset: f64, distance: f64) -> f64 {
+    (offset.abs() * whole.focal_px / distance).max_element()
+}
+
+/// The view of one image of a stereo pair, with the distance of its plane, if the eye is shifted. Its axis is parallel to that of the unshifted eye, and its
+/// frustum is skewed (L. F. Hodges, *Tutorial: Time-Multiplexed Stereoscopic Computer Graphics*, IEEE CG&A 12(2), 1992): nothing moves up or down.
+///
+/// # Errors
+/// The camera has no distance at which both images agree, or one that is too near for the shift.
+pub fn from_eye(
+    loaded: &Loaded,
+    settings: &Settings,
+    whole: &View,
+) -> Result<Option<(View, f64)>, EngineError> {
+    let Some(offset) = settings.eye_shift() else { return Ok(None) };
+    let bad = |reason: String, accepted: String| EngineError::BadParameter {
+        parameter: Settings::EYE,
+        reason,
+        accepted,
+    };
+    if whole.is_orthographic() {
+        let reason = "the camera's rays are parallel, so that both eyes would see the same";
+        return Err(bad(reason.to_owned(), "0, or a camera in perspective".to_owned()));
+    }
+    // As the receipt has it.
+    let exact = |distance| settings.stereo_from(distance).stereo_at();
+    let Some(distance) = plane(loaded, settings.stereo_at(), whole).and_then(exact) else {
+        return Err(no_plane(
+            Settings::EYE,
+            Settings::STEREO,
+            "what both images show in one place",
+        ));
+    };
+    let moved = shift_px(whole, offset, distance);
+    if moved > f64::from(MOST_WHOLE_PX) {
+        let most = offset.abs() * f64::from(MOST_WHOLE_PX) / moved;
+        let reason = format!(
+            "seen from {offset} beside, the image at a distance of {distance} lies {moved:.0} pixels beside the frame"
+        );
+        return Err(bad(
+            reason,
+            format!("at most {most:.3e} to either side with this stereo distance"),
+        ));
+    }
+    Ok(Some((whole.from_lens(DVec2::new(offset, 0.0), distance), distance)))
 }
 
 /// Returns what exposures of one frame have counted: sums, and the largest where a count is compared with a limit for one exposure. Sums of 32 bits end

@@ -45,6 +45,8 @@ pub struct Landed {
     /// To be drawn again: a list was too short, or cut into too few parts, or splats too heavy, which is mended.
     pub redraw: Vec<Arc<FrameJob>>,
     pub failed: Vec<(Arc<FrameJob>, EngineError)>,
+    /// Ended between exposures, because nobody waited for them.
+    pub given_up: Vec<Arc<FrameJob>>,
     pub lost: bool,
 }
 
@@ -181,6 +183,13 @@ impl Renderer {
             // Buffers of what never began would show an older frame.
             let read = if never_begun { None } else { group.read() };
             let jobs = std::mem::take(&mut group.jobs);
+            if group.is_given_up && read.is_some() {
+                // Whether the lists were long enough for its maps is not known.
+                group.spoil_maps();
+                landed.given_up.extend(jobs);
+                self.ring.give_back(group.landing);
+                continue;
+            }
             let Some(LandedGroup { frames, maps }) = read else {
                 landed.lost = true;
                 group.spoil_maps();

@@ -23,6 +23,7 @@ mod asset_keys;
 mod background_estimates;
 mod bake_files;
 pub mod bake_service;
+mod charges;
 mod choices;
 mod cloud_cache;
 mod config;

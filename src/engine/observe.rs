@@ -1,4 +1,6 @@
-//! An observer of finished batches and frames, for metrics.
+//! An observer of finished batches and frames, for metrics and quotas.
+
+use std::time::Duration;
 
 use super::Receipt;
 use super::queue::Class;
@@ -7,6 +9,9 @@ use super::queue::Class;
 pub trait Observer: Send + Sync + 'static {
     /// A submission with this many frames has finished.
     fn batch(&self, frames: usize);
+    /// The GPU has worked for so long on a frame of a caller, whether or not somebody still waits for it. A frame shared by several
+    /// callers is reported for the one in whose place it was drawn.
+    fn spent(&self, caller: u64, device: Duration);
     /// A frame was drawn and encoded. A frame shared by several requests is reported once.
     fn frame(&self, class: Class, receipt: &Receipt);
 }

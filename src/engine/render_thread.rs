@@ -249,6 +249,11 @@ fn land(
         .chain(landed.failed.iter().map(|(job, _)| (job.clone(), None)))
         .collect();
     state.settle(&costs, took);
+    for job in landed.given_up {
+        state.settle_given_up(&job, took);
+        // Whoever has joined it meanwhile asks again.
+        state.answer(&job, Err(EngineError::Busy { retry_after: Duration::ZERO }));
+    }
     for drawn in landed.drawn {
         encoders.push(drawn);
     }

@@ -11,6 +11,7 @@ use super::EngineError;
 use super::frame_job::FrameJob;
 use super::group::groups;
 use super::pick;
+use super::queue::Waiting;
 use super::resolved::Drawing;
 use crate::gpu::bind::BindCache;
 use crate::gpu::buffer::Buffer;
@@ -66,6 +67,8 @@ pub(super) struct FlyingGroup {
     /// Exposures whose mean each frame is, and views that the same dispatches draw.
     pub(super) exposures: usize,
     pub(super) views: usize,
+    /// Whether nobody waited any more when a part of the exposures was drawn, so that the others are not.
+    pub(super) is_given_up: bool,
     pub(super) landing: Landing,
     /// Bytes of one frame.
     pub(super) pixel_bytes: u64,
@@ -214,10 +217,7 @@ impl Renderer {
         let entered = span.enter();
         let mut timer = self.timers.pop().unwrap_or_else(|| Timer::new(&self.gpu));
         timer.reset();
-        let mut encoder = self
-            .gpu
-            .device
-            .create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("batch") });
+        let mut commands = Commands::new(self.gpu.clone());
         let groups = groups(&jobs, |job| job.group_key(), |job| self.most_views(job));
         let tasks: Vec<Vec<FrameTask>> = groups.iter().map(|group| self.tasks(group)).collect();
         let mut uniforms = Uniforms::default();
@@ -242,30 +242,28 @@ impl Renderer {
         uniforms.write(&self.gpu, &mut self.scratch);
         let mut recorded = Vec::with_capacity(tasks.len());
         for ((tasks, offsets), jobs_of_group) in tasks.iter().zip(&offsets).zip(&groups) {
-            // Groups are never empty, and a pick is a group by itself.
-            let picks = &jobs_of_group[0].frame.picks;
-            match self.record_group(&mut encoder, &mut timer, tasks, offsets, picks) {
+            match self.record_group(&mut commands, &mut timer, tasks, offsets, jobs_of_group) {
                 Ok(group) => recorded.push(group),
                 Err(error) => return Err((jobs, error)),
             }
         }
-        let stamps = timer.resolve(&mut encoder).map(|(buffer, bytes)| {
+        let stamps = timer.resolve(&mut commands.encoder).map(|(buffer, bytes)| {
             let landing = self.ring.take(&self.gpu, bytes);
+            let encoder = &mut commands.encoder;
             encoder.copy_buffer_to_buffer(buffer, 0, landing.buffer(), 0, bytes);
             (landing, bytes)
         });
         if std::mem::take(&mut self.spoil) {
-            self.spoil(&mut encoder);
+            self.spoil(&mut commands.encoder);
         }
-        let commands = encoder.finish();
         // Some adapters begin to draw at once.
-        let submitted = Instant::now();
-        let index = self.gpu.queue.submit([commands]);
+        let (submitted, index) = commands.submit();
         let groups: Vec<FlyingGroup> = groups
             .into_iter()
             .zip(recorded)
             .zip(tasks)
-            .map(|((jobs, (landing, pixel_bytes, spans)), mut tasks)| {
+            .map(|((jobs, recorded), mut tasks)| {
+                let Recorded { landing, pixel_bytes, spans, is_given_up } = recorded;
                 landing.map();
                 // There is at least one task, and the first one has the most views and draws the shadow maps.
                 let first = tasks.swap_remove(0);
@@ -277,6 +275,7 @@ impl Renderer {
                 FlyingGroup {
                     exposures: jobs.first().map_or(1, |job| job.frame.exposures.len().max(1)),
                     views: first.views.len(),
+                    is_given_up,
                     jobs,
                     landing,
                     pixel_bytes,
@@ -427,15 +426,18 @@ impl Renderer {
         Some(Shadows { tasks, set, sources })
     }
 
-    /// Records the tasks of a group, and copies its pixels and counters to where the host reads them.
+    /// Records the tasks of a group, and copies its pixels and counters to where the host reads them. The exposures of a frame are
+    /// submitted part by part, until nobody waits for the frame any more.
     fn record_group(
         &mut self,
-        encoder: &mut wgpu::CommandEncoder,
+        commands: &mut Commands,
         timer: &mut Timer,
         tasks: &[FrameTask],
         offsets: &[passes::GroupUniforms],
-        picks: &[[u32; 2]],
-    ) -> Result<(Landing, u64, Vec<PassSpan>), EngineError> {
+        jobs: &[Arc<FrameJob>],
+    ) -> Result<Recorded, EngineError> {
+        // Groups are never empty, and a pick is a group by itself.
+        let picks = &jobs[0].frame.picks;
         let internal = |text: String| EngineError::Internal(text);
         // There is at least one.
         let first = &tasks[0];
@@ -455,8 +457,16 @@ impl Renderer {
         let shadows = first.shadows.as_ref();
         let counted = shadows.map_or(0, Shadows::stats_bytes);
         let landing = self.ring.take(&self.gpu, pixels + stats + counted);
-        let (mut spans, mut behind) = (Vec::new(), pixels);
-        for (task, offset) in tasks.iter().zip(offsets) {
+        let (mut spans, mut behind, mut is_given_up) = (Vec::new(), pixels, false);
+        for (number, (task, offset)) in tasks.iter().zip(offsets).enumerate() {
+            if number > 0 {
+                commands.pass_on();
+                is_given_up = jobs.iter().all(|job| job.is_abandoned());
+                if is_given_up {
+                    break;
+                }
+            }
+            let encoder = &mut commands.encoder;
             let mut context = Context {
                 gpu: &self.gpu,
                 pipelines: &self.pipelines,
@@ -472,7 +482,7 @@ impl Renderer {
             encoder.copy_buffer_to_buffer(counts.raw(), 0, landing.buffer(), behind, length);
             behind += length;
         }
-        let scratch = &self.scratch;
+        let (scratch, encoder) = (&self.scratch, &mut commands.encoder);
         let mut copy = |source: &Buffer, from: u64, start: u64, length: u64| {
             encoder.copy_buffer_to_buffer(source.raw(), from, landing.buffer(), start, length);
         };
@@ -489,7 +499,59 @@ impl Renderer {
         if let Some(shadows) = shadows.filter(|_| counted > 0) {
             copy(&shadows.set.stats, 0, pixels + stats, counted);
         }
-        Ok((landing, pixel_bytes, spans))
+        Ok(Recorded { landing, pixel_bytes, spans, is_given_up })
+    }
+}
+
+/// A group that has been recorded.
+struct Recorded {
+    landing: Landing,
+    pixel_bytes: u64,
+    spans: Vec<PassSpan>,
+    is_given_up: bool,
+}
+
+/// The commands of a batch. Parts of it may be submitted before the others are recorded.
+struct Commands {
+    gpu: Arc<Gpu>,
+    encoder: wgpu::CommandEncoder,
+    /// The part that was submitted last.
+    flying: Option<wgpu::SubmissionIndex>,
+    /// When the first part was submitted.
+    submitted: Option<Instant>,
+}
+
+impl Commands {
+    /// Longest wait for a part; a device that needs longer for it is waited for at the end.
+    const PATIENCE: Duration = Duration::from_secs(30);
+
+    fn encoder(gpu: &Gpu) -> wgpu::CommandEncoder {
+        let label = wgpu::CommandEncoderDescriptor { label: Some("batch") };
+        gpu.device.create_command_encoder(&label)
+    }
+
+    fn new(gpu: Arc<Gpu>) -> Commands {
+        Commands { encoder: Commands::encoder(&gpu), gpu, flying: None, submitted: None }
+    }
+
+    /// Submits what is recorded, and waits for the part before it: one is drawn while the next is recorded.
+    fn pass_on(&mut self) {
+        let full = std::mem::replace(&mut self.encoder, Commands::encoder(&self.gpu));
+        self.submitted.get_or_insert_with(Instant::now);
+        let before = self.flying.replace(self.gpu.queue.submit([full.finish()]));
+        if before.is_some() {
+            // Whether the device is lost is found out when the batch lands.
+            let _ = self.gpu.device.poll(wgpu::PollType::Wait {
+                submission_index: before,
+                timeout: Some(Commands::PATIENCE),
+            });
+        }
+    }
+
+    /// Submits the rest. Returns when the first part was submitted, and the number of the last submission.
+    fn submit(self) -> (Instant, wgpu::SubmissionIndex) {
+        let submitted = self.submitted.unwrap_or_else(Instant::now);
+        (submitted, self.gpu.queue.submit([self.encoder.finish()]))
     }
 }
 

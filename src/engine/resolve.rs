@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::bake_service::{BakeTicket, Goal};
 use super::choices::{choose_for, grounds, magnification, with_detail};
 use super::entity_tag::{Tagged, entity_tag};
-use super::exposures::{Exposed, exposed};
+use super::exposures::{Exposed, exposed, from_eye};
 use super::loaded::Loaded;
 use super::planner::{self, PlannedFrame};
 use super::queue::cost::CostKey;
@@ -39,6 +39,8 @@ struct Checked {
     view: View,
     /// The view of the image that the frame is a part of, or the frame's own: what is chosen for one part is chosen for all.
     whole: View,
+    /// Distance of what both images of a stereo pair show in the same place, if the frame is one of them.
+    stereo: Option<f64>,
     exposed: Exposed,
     camera: CameraReceipt,
     clip: Option<ClipRegion>,
@@ -198,10 +200,12 @@ fn check(
     encode::accepts(request.format, request.output).map_err(unfit_format)?;
     let clip = clip_region(loaded, &request.settings)?;
     check_field(loaded, &request.settings)?;
-    let (whole, camera) = pose(loaded, request, clip.as_ref())?;
+    let (middle, camera) = pose(loaded, request, clip.as_ref())?;
+    let beside = from_eye(loaded, &request.settings, &middle)?;
+    let (whole, stereo) = beside.map_or((middle, None), |(view, distance)| (view, Some(distance)));
     let view = shown_part(&whole, request)?;
     let exposed = exposed(loaded, request, &whole)?;
-    Ok(Checked { view, whole, exposed, camera, clip })
+    Ok(Checked { view, whole, stereo, exposed, camera, clip })
 }
 
 /// Checks that the scene has the scalar field that colours samples.
@@ -360,13 +364,14 @@ fn decide(
     loaded: &Arc<Loaded>,
     request: FrameRequest,
     (full_because, planned): (Option<String>, Option<PlannedFrame>),
-    Checked { view, whole, exposed, camera, clip }: Checked,
+    Checked { view, whole, stereo, exposed, camera, clip }: Checked,
     (model, facts): (Arc<SceneModel>, SceneFacts),
 ) -> ResolvedFrame {
     let adapter = state.adapter();
     let Chosen { settings, auto, provisional } =
         choose_reconstruction(state, loaded, &request, &facts, &whole);
     let settings = exposed.focus.map_or(settings, |focus| settings.focused_at(focus));
+    let settings = stereo.map_or(settings, |distance| settings.stereo_from(distance));
     let seen: Vec<View> = [whole].into_iter().chain(exposed.whole).collect();
     // Disks reach beyond their samples.
     let bounds =

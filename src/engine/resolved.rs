@@ -97,6 +97,11 @@ impl ResolvedFrame {
         self.provisional.is_none().then_some(&self.key)
     }
 
+    /// Returns the camera from which the frame is seen.
+    pub fn camera(&self) -> &CameraReceipt {
+        &self.camera
+    }
+
     /// Returns the name of the adapter that the entity tag is for.
     pub fn adapter(&self) -> &str {
         &self.adapter

@@ -49,9 +49,9 @@ pub enum Phase {
     Failed,
 }
 
-struct Schedule {
-    queue: Queue<Arc<FrameJob>>,
-    costs: Costs,
+pub(super) struct Schedule {
+    pub(super) queue: Queue<Arc<FrameJob>>,
+    pub(super) costs: Costs,
     /// Every job that has not been answered, by its key.
     by_key: HashMap<String, Arc<FrameJob>>,
     /// A scene was removed and the render thread has not looked yet.
@@ -131,7 +131,7 @@ pub struct EngineState {
     pub stats: Stats,
     /// Counts changes of scenes: loaded, patched, removed.
     pub changes: watch::Sender<u64>,
-    schedule: Mutex<Schedule>,
+    pub(super) schedule: Mutex<Schedule>,
     wake: Condvar,
     primed: Condvar,
     adapter: RwLock<Adapter>,
@@ -384,33 +384,6 @@ impl EngineState {
             let granted = jobs.into_iter().map(FrameJob::granted).collect();
             self.schedule.lock().queue.put_back(granted, Instant::now());
         }
-    }
-
-    /// A job that was taken has had nothing of the device.
-    pub fn refund(&self, job: &FrameJob) {
-        if let Some((client, charged_ns)) = job.settle() {
-            self.schedule.lock().queue.settle(client, charged_ns, 0);
-        }
-    }
-
-    /// Puts right what clients were charged for jobs that are under way no more, by the device time that each took, and folds
-    /// in that their submission `took` so long.
-    pub fn settle(&self, jobs: &[(Arc<FrameJob>, Option<u64>)], took: Duration) {
-        let mut schedule = self.schedule.lock();
-        let Schedule { queue, costs, .. } = &mut *schedule;
-        let mut cost_ns = 0;
-        let now = Instant::now();
-        for (job, measured_ns) in jobs {
-            let Some((client, charged_ns)) = job.settle() else { continue };
-            queue.landed(client, now);
-            let measured_ns = *measured_ns;
-            queue.settle(client, charged_ns, measured_ns.unwrap_or(charged_ns));
-            cost_ns += measured_ns.unwrap_or(charged_ns);
-            if let Some(ns) = measured_ns {
-                costs.measured(job.frame.cost_key, ns);
-            }
-        }
-        costs.landed(cost_ns, took);
     }
 
     pub fn take_all(&self) -> Vec<Arc<FrameJob>> {

@@ -23,6 +23,8 @@ pub struct EngineStats {
     pub batches: u64,
     pub coalesced: u64,
     pub cancelled: u64,
+    /// Frames of several exposures that were ended between them, because nobody waited any more.
+    pub given_up: u64,
     /// Jobs that a newer one replaced before they were begun.
     pub overtaken: u64,
     pub expired: u64,
@@ -51,6 +53,7 @@ pub struct Stats {
     pub batches: AtomicU64,
     pub coalesced: AtomicU64,
     pub cancelled: AtomicU64,
+    pub given_up: AtomicU64,
     pub overtaken: AtomicU64,
     pub expired: AtomicU64,
     pub refused: AtomicU64,
@@ -76,6 +79,7 @@ impl Stats {
             batches: read(&self.batches),
             coalesced: read(&self.coalesced),
             cancelled: read(&self.cancelled),
+            given_up: read(&self.given_up),
             overtaken: read(&self.overtaken),
             expired: read(&self.expired),
             refused: read(&self.refused),

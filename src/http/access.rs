@@ -19,11 +19,13 @@ use axum::http::{HeaderMap, Method, Uri, header};
 use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;
 
+use self::signed::{Caps, Claim, Secret};
 use super::STREAM;
 use super::problem::{Kind, Problem};
 use super::tls::Tls;
 
 pub mod keys;
+pub mod signed;
 
 /// The scope of a key. Each scope includes those before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -58,6 +60,8 @@ pub struct ApiKey {
     /// Time from which the key is refused.
     pub expires: Option<SystemTime>,
     pub quotas: Quotas,
+    /// Secret with which the holder signs addresses.
+    pub url_secret: Option<Secret>,
     hash: [u8; 32],
 }
 
@@ -73,7 +77,23 @@ pub enum Access {
     Keys(Vec<ApiKey>),
 }
 
-/// What a reload puts in force, all or nothing.
+/// Why a request is refused.
+#[derive(Debug)]
+pub struct Refused {
+    pub problem: Problem,
+    /// Name of the key, if it is one of the file.
+    pub key: Option<String>,
+    /// Whether a key was sent that is not in the file.
+    pub is_guess: bool,
+}
+
+impl From<Problem> for Refused {
+    fn from(problem: Problem) -> Refused {
+        Refused { problem, key: None, is_guess: false }
+    }
+}
+
+/// The rules in force.
 #[derive(Clone, Debug)]
 pub struct Rules {
     pub access: Access,
@@ -81,14 +101,30 @@ pub struct Rules {
     pub tls: Option<Tls>,
 }
 
-/// Reads the rules again from their files.
+/// Reads something again from its files.
 #[derive(Clone)]
-pub struct Reread(pub Arc<dyn Fn() -> Result<Rules, String> + Send + Sync>);
+pub struct Reader<T>(pub Arc<dyn Fn() -> Result<T, String> + Send + Sync>);
 
-impl std::fmt::Debug for Reread {
+impl<T> std::fmt::Debug for Reader<T> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("Reread")
+        f.write_str("Reader")
     }
+}
+
+/// What a reload reads; `None` where there is nothing to read.
+#[derive(Clone, Debug, Default)]
+pub struct Reread {
+    pub access: Option<Reader<Access>>,
+    pub tls: Option<Reader<Tls>>,
+}
+
+/// The key of a request, and how the request came by it.
+#[derive(Clone, Copy, Debug)]
+pub struct Admitted<'a> {
+    pub key: &'a ApiKey,
+    /// Limits of a signed address; none where the key itself was sent.
+    pub caps: Caps,
+    pub is_signed: bool,
 }
 
 /// Returns the scope that a request needs, or `None` where no key is needed.
@@ -117,12 +153,6 @@ pub fn draws(route: &str) -> bool {
         .contains(&route)
 }
 
-/// Returns whether a request has a key, known or not.
-pub fn has_key(route: &str, headers: &HeaderMap) -> bool {
-    headers.contains_key(header::AUTHORIZATION)
-        || route == STREAM && protocol_key(headers).is_some()
-}
-
 /// Prefix of a subprotocol that carries a key.
 pub const KEY_PROTOCOL: &str = "pointillist.key.";
 
@@ -134,32 +164,36 @@ impl Access {
         uri: &Uri,
         route: &str,
         headers: &HeaderMap,
-    ) -> Result<Option<&ApiKey>, Problem> {
+    ) -> Result<Option<Admitted<'_>>, Refused> {
         if matches!(self, Access::Open { only_loopback: true, .. }) {
             check_host(uri, headers)?;
         }
-        self.check_sender(method, route, headers)
+        self.check_sender(method, uri, route, headers)
     }
 
     fn check_sender(
         &self,
         method: &Method,
+        uri: &Uri,
         route: &str,
         headers: &HeaderMap,
-    ) -> Result<Option<&ApiKey>, Problem> {
+    ) -> Result<Option<Admitted<'_>>, Refused> {
         let Some(scope) = needed(method, route) else { return Ok(None) };
         match self {
             Access::Open { cors_origins, .. } => {
                 let anybody_reads = cors_origins.iter().any(|origin| origin == "*");
                 if route == STREAM && !anybody_reads && is_foreign(headers, cors_origins) {
-                    return Err(foreign(headers, "open a stream"));
+                    return Err(foreign(headers, "open a stream").into());
                 }
                 if scope > Scope::Read && is_foreign(headers, cors_origins) {
-                    return Err(foreign(headers, "change anything"));
+                    return Err(foreign(headers, "change anything").into());
                 }
                 Ok(None)
             }
-            Access::Keys(keys) => check_key(keys, scope, route, headers).map(Some),
+            Access::Keys(keys) => match Claim::read(uri.query()) {
+                Some(claim) => check_signed(keys, scope, uri.path(), route, claim?).map(Some),
+                None => check_key(keys, scope, route, headers).map(Some),
+            },
         }
     }
 }
@@ -179,7 +213,7 @@ fn foreign(headers: &HeaderMap, may_not: &str) -> Problem {
 }
 
 /// Refuses a request whose host is missing or not loopback.
-fn check_host(uri: &Uri, headers: &HeaderMap) -> Result<(), Problem> {
+pub fn check_host(uri: &Uri, headers: &HeaderMap) -> Result<(), Problem> {
     // HTTP/2 has the host in the address.
     let authority = uri.authority().map(|authority| authority.as_str().as_bytes());
     let mut hosts = headers
@@ -222,7 +256,7 @@ fn check_key<'a>(
     scope: Scope,
     route: &str,
     headers: &HeaderMap,
-) -> Result<&'a ApiKey, Problem> {
+) -> Result<Admitted<'a>, Refused> {
     const HOW: &str = "Authorization: Bearer KEY";
     let unauthorized =
         |detail| Problem::new(Kind::Unauthorized, detail).at("Authorization").accepted(HOW);
@@ -230,7 +264,7 @@ fn check_key<'a>(
     let token = match headers.get(header::AUTHORIZATION) {
         Some(value) => match value.as_bytes().split_at_checked(7) {
             Some((scheme, token)) if scheme.eq_ignore_ascii_case(b"Bearer ") => token.trim_ascii(),
-            _ => return Err(unauthorized("not a bearer key")),
+            _ => return Err(unauthorized("not a bearer key").into()),
         },
         None => in_protocol().ok_or_else(|| unauthorized("no key was sent"))?,
     };
@@ -243,18 +277,64 @@ fn check_key<'a>(
             granted = Some(key);
         }
     }
-    match granted {
-        None => Err(unauthorized("the key is not known")),
-        Some(granted) if granted.expires.is_some_and(|end| end <= SystemTime::now()) => {
-            Err(unauthorized("the key has expired"))
-        }
-        Some(granted) if granted.scope < scope => Err(Problem::new(
-            Kind::Forbidden,
-            format!("the key's scope is {:?}, but this operation needs {scope:?}", granted.scope)
-                .to_lowercase(),
-        )),
-        Some(granted) => Ok(granted),
+    let Some(granted) = granted else {
+        let problem = unauthorized("the key is not known");
+        return Err(Refused { problem, key: None, is_guess: true });
+    };
+    let refused = |problem| Refused { problem, key: Some(granted.name.clone()), is_guess: false };
+    if has_passed(granted.expires) {
+        return Err(refused(unauthorized("the key has expired")));
     }
+    if granted.scope < scope {
+        let detail =
+            format!("the key's scope is {:?}, but this operation needs {scope:?}", granted.scope);
+        return Err(refused(Problem::new(Kind::Forbidden, detail.to_lowercase())));
+    }
+    Ok(Admitted { key: granted, caps: Caps::default(), is_signed: false })
+}
+
+fn has_passed(end: Option<SystemTime>) -> bool {
+    end.is_some_and(|end| end <= SystemTime::now())
+}
+
+/// Checks a request by a signed address, which reads what its key may read.
+fn check_signed<'a>(
+    keys: &'a [ApiKey],
+    scope: Scope,
+    path: &str,
+    route: &str,
+    claim: Claim<'_>,
+) -> Result<Admitted<'a>, Refused> {
+    let unauthorized = |detail| {
+        let accepted = "an address as `pointillist sign` writes it, before its time has passed";
+        Problem::new(Kind::Unauthorized, detail).at("signature").accepted(accepted)
+    };
+    let signed_with = |key: &&ApiKey| {
+        key.name == claim.terms.key
+            && key.url_secret.as_ref().is_some_and(|secret| claim.is_signed_with(secret, path))
+    };
+    let Some(key) = keys.iter().find(signed_with) else {
+        let problem = unauthorized("the signature is not that of this address");
+        return Err(Refused { problem, key: None, is_guess: true });
+    };
+    let refused = |problem| Refused { problem, key: Some(key.name.clone()), is_guess: false };
+    let caps = claim.terms.caps();
+    if has_passed(caps.until) {
+        return Err(refused(unauthorized("this signed address has expired")));
+    }
+    if has_passed(key.expires) {
+        return Err(refused(unauthorized("the key that signed this address has expired")));
+    }
+    if scope > Scope::Read {
+        let detail = "a signed address only reads; changes need a key";
+        return Err(refused(Problem::new(Kind::Forbidden, detail)));
+    }
+    if route == STREAM && !claim.terms.is_open {
+        let detail = "poses of a stream are no part of its address";
+        let accepted = "an address signed with --open";
+        return Err(refused(Problem::new(Kind::Forbidden, detail).accepted(accepted)));
+    }
+    Ok(Admitted { key, caps, is_signed: true })
 }
 
 /// Returns the key among the subprotocols that a client offers, the only field of a WebSocket request that a page can set.

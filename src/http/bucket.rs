@@ -111,9 +111,9 @@ impl<K: Eq + Hash> Table<K> {
         bucket
     }
 
-    /// Returns the bucket of a key, if there is one.
-    pub fn existing(&mut self, key: &K) -> Option<&mut Bucket> {
-        self.buckets.get_mut(key)
+    /// Forgets the bucket of a key, which begins full again.
+    pub fn forget(&mut self, key: &K) {
+        self.buckets.remove(key);
     }
 }
 

@@ -131,7 +131,7 @@ pub struct ComparedFrame {
 )]
 pub async fn compare(
     State(app): State<Arc<App>>,
-    Extension(Caller(client)): Extension<Caller>,
+    Extension(Caller(client, _)): Extension<Caller>,
     Extension(request_id): Extension<RequestId>,
     Segments(id): Segments<String>,
     _: NoQuery,
@@ -172,7 +172,7 @@ pub async fn compare(
     let mut frames = Vec::with_capacity(4);
     for (ticket, deadline) in [a_color, a_coverage, b_color, b_coverage] {
         let frame = wait(&app, ticket, deadline).await?;
-        app.sent(client, &frame);
+        app.metrics.frame(&frame);
         frames.push(frame);
     }
     let turn = app.comparing.clone().acquire_owned().await.map_err(Problem::internal)?;

@@ -43,7 +43,12 @@ pub struct Doorkeeper {
     /// Permits for connections beyond the limit that may be health probes.
     pub probes: Arc<Semaphore>,
     pub read_timeout: Duration,
+    /// Whether connections speak TLS if the server has a certificate.
+    pub speaks_tls: bool,
 }
+
+/// Longest time for a TLS handshake.
+const HANDSHAKE: Duration = Duration::from_secs(10);
 
 /// Limits of connections beyond `max_connections` that are read: their number, bytes and time.
 pub const PROBES: usize = 16;
@@ -58,8 +63,8 @@ impl<S: Send + 'static> Accept<TcpStream, S> for Doorkeeper {
     fn accept(&self, mut stream: TcpStream, service: S) -> Self::Future {
         let place = self.places.clone().try_acquire_owned().ok();
         let place = place.and_then(|place| Place::take(&self.app, &stream, place));
-        let Doorkeeper { app, probes, read_timeout, .. } = self.clone();
-        let tls = app.rules.read().tls.clone();
+        let Doorkeeper { app, probes, read_timeout, speaks_tls, .. } = self.clone();
+        let tls = app.rules.read().tls.clone().filter(|_| speaks_tls);
         Box::pin(async move {
             let Some(place) = place else {
                 if tls.is_some() {
@@ -84,7 +89,8 @@ impl<S: Send + 'static> Accept<TcpStream, S> for Doorkeeper {
                 None => Socket::Plain(stream),
                 Some(tls) => {
                     let handshake = tokio_rustls::TlsAcceptor::from(tls).accept(stream);
-                    let stream = tokio::time::timeout(read_timeout, handshake).await??;
+                    let stream =
+                        tokio::time::timeout(read_timeout.min(HANDSHAKE), handshake).await??;
                     Socket::Tls(Box::new(stream))
                 }
             };

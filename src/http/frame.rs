@@ -72,7 +72,7 @@ const REVALIDATE: HeaderValue = HeaderValue::from_static("no-cache");
 )]
 pub async fn frame(
     State(app): State<Arc<App>>,
-    Extension(Caller(client)): Extension<Caller>,
+    Extension(Caller(client, caps)): Extension<Caller>,
     Extension(request_id): Extension<RequestId>,
     Segments(id): Segments<String>,
     method: Method,
@@ -89,6 +89,7 @@ pub async fn frame(
     }
 
     let resolved = resolve(&app, request).await.map_err(|problem| missing(&app, &id, problem))?;
+    app.check_caps(&caps, &resolved)?;
     let etag = resolved.final_etag();
     let tag = match etag {
         Some(etag) => Some(
@@ -117,7 +118,7 @@ pub async fn frame(
 
     let ticket = app.engine.queue(Origin { client, request_id }, resolved.clone())?;
     let frame = wait(&app, ticket, resolved.request.deadline).await?;
-    app.sent(client, &frame);
+    app.metrics.frame(&frame);
     let mut response = Response::new(Body::from(frame.bytes.clone()));
     let headers = response.headers_mut();
     for (name, value) in receipt_headers(&frame) {

@@ -19,7 +19,9 @@ use futures::Stream;
 use serde::Deserialize;
 use utoipa::ToSchema;
 
+use super::access::signed::Caps;
 use super::frame::{choose_format, missing, receipt_headers, resolve, wait};
+use super::limits::Standing;
 use super::params::FrameParams;
 use super::problem::{Kind, PROBLEM_JSON, Problem};
 use super::{App, Caller, NoQuery, Segments, body};
@@ -64,7 +66,7 @@ pub struct FramesRequest {
 )]
 pub async fn frames(
     State(app): State<Arc<App>>,
-    Extension(Caller(client)): Extension<Caller>,
+    Extension(Caller(client, _)): Extension<Caller>,
     Extension(request_id): Extension<RequestId>,
     Segments(id): Segments<String>,
     _: NoQuery,
@@ -164,6 +166,20 @@ impl Batch {
         self.request_id.part(index as u64)
     }
 
+    /// Returns whether the client's key has GPU time left for another pose. If `waits`, returns only when it has, or when the key is
+    /// no longer known.
+    async fn has_time(&self, waits: bool) -> bool {
+        const LONGEST_PAUSE: Duration = Duration::from_secs(1);
+        while let Standing::Spent(wait) = self.app.standing(self.client, &Caps::default()) {
+            if !waits {
+                return false;
+            }
+            // A reload may give the key more time.
+            tokio::time::sleep(wait.min(LONGEST_PAUSE)).await;
+        }
+        true
+    }
+
     /// Queues a pose. Returns `None` when the queue is full and `wait_for_place` is false.
     async fn submit(
         &self,
@@ -209,6 +225,9 @@ fn parts(
         let mut next = 0;
         for index in 0..batch.poses.len() {
             while pending.len() < window && next < batch.poses.len() {
+                if !batch.has_time(pending.is_empty()).await {
+                    break;
+                }
                 let pose = match held.take().map_or_else(|| batch.pose(next), Ok) {
                     Ok(pose) => pose,
                     Err(problem) => {
@@ -234,7 +253,7 @@ fn parts(
                 Err(problem) => Err(problem),
             };
             if let Ok(frame) = &result {
-                batch.app.sent(batch.client, frame);
+                batch.app.metrics.frame(frame);
             }
             let result = result.map_err(|problem| problem.named(batch.name(index)));
             let (head, content) = part(index as u64, result);

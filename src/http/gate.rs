@@ -1,8 +1,9 @@
-//! What every request passes before and after its handler: its name, the access rules, the rates, counters and logs.
+//! The middleware around every handler: it names the request, checks access and rates, counts, and logs.
 
 use std::hash::BuildHasher;
 use std::net::SocketAddr;
-use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
 use axum::body::HttpBody;
@@ -12,8 +13,10 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use tracing::Instrument;
 
+use super::access::signed::{self, Caps};
+use super::access::{Admitted, Refused};
 use super::journal::{Asked, Spent};
-use super::problem::{Kind, Problem};
+use super::problem::Problem;
 use super::{
     App, Caller, Owner, ROUTES, TIMING_ALLOW_ORIGIN, UNMATCHED, access, address, body, journal,
     naming,
@@ -34,63 +37,113 @@ pub async fn gate(State(app): State<Arc<App>>, mut request: Request, next: Next)
     let proxies = &app.settings.edge.trusted_proxies;
     let asked = Asked {
         request_id: id.clone(),
+        key: OnceLock::new(),
+        is_let_in: AtomicBool::new(false),
         address: peer.map(|peer| address::of_client(peer, request.headers(), proxies)),
         method: method.clone(),
         route,
         target: journal::target(request.uri()),
         at: Instant::now(),
     };
+    let pending = Pending { app: &app, asked, is_answered: false };
     let span = tracing::debug_span!("request", request_id = %id, %method, route);
-    let answer = answer(&app, &asked, request, next).instrument(span);
+    let answer = answer(&app, &pending.asked, request, next).instrument(span);
     let mut response = naming::within(id.clone(), answer).await;
     let headers = response.headers_mut();
     headers.extend(naming::header(&id).map(|value| (naming::REQUEST_ID, value)));
     headers.extend(app.timing_origins.clone().map(|value| (TIMING_ALLOW_ORIGIN, value)));
     app.metrics.answered(route, &method, response.status().as_u16());
-    log(&app, &asked, response)
+    pending.answered(response)
 }
 
-/// Writes the audit line of a change or a refusal now, and the access line when the answer has been sent.
-fn log(app: &App, asked: &Asked, mut response: Response) -> Response {
-    let edge = &app.settings.edge;
-    if edge.access_log.is_none() && edge.audit_log.is_none() {
-        return response;
-    }
-    let status = response.status().as_u16();
-    let key = response.extensions_mut().remove::<Owner>().and_then(|owner| owner.name);
-    let line = asked.answered(key.as_deref(), status);
-    let may_change = access::needed(&asked.method, asked.route) > Some(access::Scope::Read);
-    match status {
-        401 | 403 => app.audit(&line.clone().event("refused")),
-        0..=399 if may_change => app.audit(&line.clone().event("change")),
-        _ => {}
-    }
-    let Some(journal) = edge.access_log.clone() else { return response };
-    let spent = response.extensions_mut().remove::<Spent>();
-    response.map(|body| journal::logged(body, journal, line, spent, asked.at))
+/// A request whose answer is not known yet. If its client goes away before that, it is dropped, and logged without a status.
+struct Pending<'a> {
+    app: &'a App,
+    asked: Asked,
+    is_answered: bool,
 }
+
+impl Pending<'_> {
+    /// Returns whether the request may change something.
+    fn may_change(&self) -> bool {
+        access::needed(&self.asked.method, self.asked.route) > Some(access::Scope::Read)
+    }
+
+    /// Writes the audit line of a change or a refused key now, and the access line when the answer has been sent.
+    fn answered(mut self, mut response: Response) -> Response {
+        self.is_answered = true;
+        let edge = &self.app.settings.edge;
+        if edge.access_log.is_none() && edge.audit_log.is_none() {
+            return response;
+        }
+        let status = response.status().as_u16();
+        let place = response.headers().get(header::LOCATION).and_then(|place| place.to_str().ok());
+        let made = place.and_then(|place| place.parse().ok()).as_ref().and_then(journal::target);
+        let line = self.asked.line(Some(status), made);
+        let is_refused = response.extensions_mut().remove::<WrongKey>().is_some();
+        if is_refused || status == 403 {
+            self.app.audit(&line.clone().event("refused"));
+        } else if status < 400 && self.may_change() {
+            self.app.audit(&line.clone().event("change"));
+        }
+        let Some(journal) = edge.access_log.clone() else { return response };
+        let spent = response.extensions_mut().remove::<Spent>();
+        let at = self.asked.at;
+        response.map(|body| journal::logged(body, journal, line, spent, at))
+    }
+}
+
+impl Drop for Pending<'_> {
+    fn drop(&mut self) {
+        if self.is_answered {
+            return;
+        }
+        let line = self.asked.line(None, None).after(self.asked.at);
+        // The change may have been made nevertheless.
+        if self.may_change() && self.asked.is_let_in.load(Ordering::Relaxed) {
+            self.app.audit(&line.clone().event("client-gone"));
+        }
+        if let Some(journal) = &self.app.settings.edge.access_log {
+            journal.write(&line);
+        }
+    }
+}
+
+/// Marks the answer to a request whose key is not known or has expired.
+#[derive(Clone, Copy)]
+struct WrongKey;
 
 /// Checks access and answers the request.
 async fn answer(app: &App, asked: &Asked, request: Request, next: Next) -> Response {
     // A client that waits for `100 Continue` sends no body after a refusal, so there is nothing to read.
     let expects = request.headers().contains_key(header::EXPECT);
-    let (request, rest) = if request.body().is_end_stream() || expects {
+    let (mut request, rest) = if request.body().is_end_stream() || expects {
         (request, None)
     } else {
         let (parts, whole) = request.into_parts();
         let (body, rest) = body::share(whole);
         (Request::from_parts(parts, body), Some(rest))
     };
-    let mut request = request;
     let response = match admit(app, asked, &request) {
-        Ok((client, owner)) => {
-            request.extensions_mut().insert(Caller(client));
-            request.extensions_mut().insert(owner.clone());
-            let mut response = next.run(request).await;
-            response.extensions_mut().insert(owner);
+        Ok((caller, owner)) => {
+            asked.is_let_in.store(true, Ordering::Relaxed);
+            // Only signed addresses have an end.
+            if let Some(own) =
+                signed::without_signature(request.uri()).filter(|_| caller.1.until.is_some())
+            {
+                *request.uri_mut() = own;
+            }
+            request.extensions_mut().insert(caller);
+            request.extensions_mut().insert(owner);
+            next.run(request).await
+        }
+        Err(Denied { problem, is_audited }) => {
+            let mut response = problem.into_response();
+            if is_audited {
+                response.extensions_mut().insert(WrongKey);
+            }
             response
         }
-        Err(problem) => problem.into_response(),
     };
     if let (Some(rest), true) = (rest, response.status().as_u16() >= 400) {
         rest.linger().await;
@@ -98,37 +151,67 @@ async fn answer(app: &App, asked: &Asked, request: Request, next: Next) -> Respo
     response
 }
 
-/// Checks a request against the access rules and the rates. Returns its client and its key.
-fn admit(app: &App, asked: &Asked, request: &Request) -> Result<(Client, Owner), Problem> {
-    let (route, headers, now) = (asked.route, request.headers(), asked.at);
-    let is_limited = access::needed(&asked.method, route).is_some();
-    let rules = app.rules.read().clone();
-    if let (Some(from), true) = (asked.address, is_limited) {
-        let has_key =
-            matches!(rules.access, access::Access::Keys(_)) && access::has_key(route, headers);
-        app.limits.admit_address(from, has_key, now)?;
+/// Why a request was not let in.
+struct Denied {
+    problem: Problem,
+    /// Whether the audit log tells it: a key was sent, and it was not one of many wrong ones.
+    is_audited: bool,
+}
+
+impl From<Problem> for Denied {
+    fn from(problem: Problem) -> Denied {
+        Denied { problem, is_audited: false }
     }
+}
+
+/// Checks a request against the access rules and the rates. Returns its client and its key.
+fn admit(app: &App, asked: &Asked, request: &Request) -> Result<(Caller, Owner), Denied> {
+    let (route, headers, now) = (asked.route, request.headers(), asked.at);
+    // Probes must not fail because others ask too often.
+    let is_probe = matches!(route, "/healthz" | "/readyz");
+    if let (Some(from), false) = (asked.address, is_probe) {
+        app.limits.admit_address(from, now)?;
+    }
+    let rules = app.rules.read().clone();
     let checked = rules.access.check(&asked.method, request.uri(), route, headers);
-    let key = checked.inspect_err(|problem| {
-        if problem.kind != Kind::Unauthorized || !access::has_key(route, headers) {
-            return;
-        }
-        let from = asked.address;
-        tracing::warn!(request_id = %asked.request_id, address = ?from, route, "wrong API key");
-        if let Some(from) = from {
-            app.limits.wrong_key(from, now);
-        }
-    })?;
-    let Some(key) = key else {
+    let admitted = match checked {
+        Ok(admitted) => admitted,
+        Err(refused) => return Err(deny(app, asked, refused)),
+    };
+    let Some(Admitted { key, caps, is_signed }) = admitted else {
         let client = match asked.address {
             Some(from) => Client::Caller(app.callers.hash_one(from)),
             None => Client::Unnamed,
         };
-        return Ok((client, Owner { is_admin: true, ..Owner::default() }));
+        let owner = Owner { is_admin: true, ..Owner::default() };
+        return Ok((Caller(client, Caps::default()), owner));
     };
+    // Nobody else sets it.
+    let _ = asked.key.set(key.name.clone());
     let number = app.number_of(key);
     app.limits.admit_key(number, &key.quotas, access::draws(route), now)?;
-    let is_admin = key.scope == access::Scope::Admin;
+    let is_admin = key.scope == access::Scope::Admin && !is_signed;
     let owner = Owner { name: Some(key.name.clone()), is_admin, quotas: key.quotas };
-    Ok((Client::Caller(number), owner))
+    Ok((Caller(Client::Caller(number), caps), owner))
+}
+
+/// Counts and logs a wrong key.
+fn deny(app: &App, asked: &Asked, refused: Refused) -> Denied {
+    let Refused { problem, key, is_guess } = refused;
+    let mut is_audited = is_guess;
+    if let Some(name) = key {
+        is_audited = true;
+        // Nobody else sets it.
+        let _ = asked.key.set(name);
+    }
+    let from = asked.address;
+    if let (true, Some(from)) = (is_guess, from)
+        && let Err(problem) = app.limits.wrong_key(from, asked.at)
+    {
+        return problem.into();
+    }
+    if is_guess {
+        tracing::warn!(request_id = %asked.request_id, address = ?from, route = asked.route, "wrong API key");
+    }
+    Denied { problem, is_audited }
 }

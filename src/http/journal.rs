@@ -1,34 +1,48 @@
 //! The access log, a line of JSON for each request, and the audit log, a line for each change and each refused key.
 //!
-//! Each line is appended with one write, so that lines of several threads do not mix. SIGHUP opens the files anew, as logrotate
-//! needs it. Neither log holds keys, queries or bodies.
+//! A thread writes each log, so that neither a disk that hangs nor a reader that stalls holds up requests. When [`MOST_WAITING`]
+//! lines wait for it, further lines are lost; they are counted, and a line says how many once lines can be written again. Each line is
+//! appended with one write. SIGHUP opens the files anew, as logrotate needs it. Neither log holds keys, queries or bodies.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::pin::Pin;
-use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, OnceLock};
 use std::task::{Context, Poll};
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use axum::body::{Body, HttpBody};
 use axum::http::{Method, Uri};
 use bytes::Bytes;
-use parking_lot::Mutex;
+use prometheus_client::metrics::counter::Counter;
 use serde::Serialize;
 
 use crate::engine::{Receipt, RequestId};
 
 /// Name that stands for standard output.
 const STDOUT: &str = "-";
+/// Maximum number of lines that wait to be written; a line has less than a kilobyte.
+const MOST_WAITING: usize = 8192;
 
-/// A file, or standard output, to which lines are appended.
+/// A file, or standard output, to which a thread appends lines.
 #[derive(Debug)]
 pub struct Journal {
     path: PathBuf,
-    /// `None` for standard output.
-    file: Mutex<Option<File>>,
+    orders: SyncSender<Order>,
+    lost: Counter,
+}
+
+/// What the thread of a log does next.
+enum Order {
+    Write(Vec<u8>),
+    /// Lines follow in another file, or in a new one of the same name; `None` for standard output.
+    Use(Option<File>),
+    /// Tells that all lines before are written.
+    Tell(SyncSender<()>),
 }
 
 fn open(path: &Path) -> io::Result<Option<File>> {
@@ -42,36 +56,112 @@ fn open(path: &Path) -> io::Result<Option<File>> {
     options.open(path).map(Some)
 }
 
+fn append(file: &mut Option<File>, line: &[u8]) -> io::Result<()> {
+    match file {
+        Some(file) => file.write_all(line),
+        None => io::stdout().lock().write_all(line),
+    }
+}
+
+fn line_of(value: &impl Serialize) -> Option<Vec<u8>> {
+    let mut line = serde_json::to_vec(value).ok()?;
+    line.push(b'\n');
+    Some(line)
+}
+
+/// Carries out orders until the log is dropped.
+fn run(path: &Path, mut file: Option<File>, orders: &Receiver<Order>, lost: &Counter) {
+    let mut told = 0;
+    let write = |file: &mut Option<File>, line: &[u8]| {
+        if let Err(error) = append(file, line) {
+            lost.inc();
+            tracing::error!(%error, path = %path.display(), "cannot write the log file");
+        }
+    };
+    while let Ok(order) = orders.recv() {
+        match order {
+            Order::Write(line) => write(&mut file, &line),
+            Order::Use(other) => file = other,
+            // Whoever waits may have given up.
+            Order::Tell(done) => drop(done.try_send(())),
+        }
+        let count = lost.get();
+        if count > told {
+            let gap = Gap { time: now(), event: "lines-lost", count: count - told };
+            told = count;
+            if let Some(line) = line_of(&gap) {
+                write(&mut file, &line);
+            }
+        }
+    }
+}
+
+/// A line in place of those that were lost.
+#[derive(Serialize)]
+struct Gap {
+    time: f64,
+    event: &'static str,
+    count: u64,
+}
+
 impl Journal {
     /// Opens a file for appending; `-` is standard output.
     ///
     /// # Errors
-    /// The file cannot be opened.
+    /// The file cannot be opened, or the thread cannot be started.
     pub fn open(path: &Path) -> io::Result<Journal> {
-        Ok(Journal { path: path.to_owned(), file: Mutex::new(open(path)?) })
+        Journal::with_room(path, MOST_WAITING)
+    }
+
+    fn with_room(path: &Path, most_waiting: usize) -> io::Result<Journal> {
+        let file = open(path)?;
+        let (orders, received) = sync_channel(most_waiting);
+        let lost = Counter::default();
+        let (own_path, own_lost) = (path.to_owned(), lost.clone());
+        std::thread::Builder::new()
+            .name("log".to_owned())
+            .spawn(move || run(&own_path, file, &received, &own_lost))?;
+        Ok(Journal { path: path.to_owned(), orders, lost })
     }
 
     /// Opens the file anew. If that fails, the open file stays in use.
     pub fn reopen(&self) {
-        match open(&self.path) {
-            Ok(file) => *self.file.lock() = file,
-            Err(error) => {
-                tracing::error!(%error, path = %self.path.display(), "cannot reopen the log file");
-            }
+        let used = open(&self.path).and_then(|file| {
+            self.orders
+                .try_send(Order::Use(file))
+                .map_err(|_| io::Error::other("too many lines wait"))
+        });
+        if let Err(error) = used {
+            tracing::error!(%error, path = %self.path.display(), "cannot reopen the log file");
         }
     }
 
-    /// Appends a value as one line of JSON.
+    /// Appends a value as one line of JSON, without waiting until it is written.
     pub fn write(&self, value: &impl Serialize) {
-        let Ok(mut line) = serde_json::to_vec(value) else { return };
-        line.push(b'\n');
-        let written = match &mut *self.file.lock() {
-            Some(file) => file.write_all(&line),
-            None => io::stdout().lock().write_all(&line),
-        };
-        if let Err(error) = written {
-            tracing::error!(%error, path = %self.path.display(), "cannot write the log file");
+        let Some(line) = line_of(value) else { return };
+        if self.orders.try_send(Order::Write(line)).is_err() {
+            self.lost.inc();
         }
+    }
+
+    /// Waits until all lines are written, at most for `patience`. Returns whether they are.
+    pub fn flush(&self, patience: Duration) -> bool {
+        let (done, is_done) = sync_channel(1);
+        let end = Instant::now() + patience;
+        let mut order = Order::Tell(done);
+        while let Err(std::sync::mpsc::TrySendError::Full(back)) = self.orders.try_send(order) {
+            if Instant::now() >= end {
+                return false;
+            }
+            order = back;
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        is_done.recv_timeout(end.saturating_duration_since(Instant::now())).is_ok()
+    }
+
+    /// Returns the counter of lines that were not written.
+    pub fn lost(&self) -> Counter {
+        self.lost.clone()
     }
 }
 
@@ -102,7 +192,8 @@ pub struct Line {
     route: &'static str,
     /// The scene or job of the address.
     target: Option<String>,
-    status: u16,
+    /// `None` where the client went away before the answer.
+    status: Option<u16>,
     /// What was refused or changed; in the audit log only.
     #[serde(skip_serializing_if = "Option::is_none")]
     event: Option<&'static str>,
@@ -117,9 +208,12 @@ pub struct Line {
 }
 
 /// What is known of a request before it is answered.
-#[derive(Clone)]
 pub struct Asked {
     pub request_id: RequestId,
+    /// Name of the key, once it is known.
+    pub key: OnceLock<String>,
+    /// Whether the request has passed the access rules and the rates.
+    pub is_let_in: AtomicBool,
     pub address: Option<IpAddr>,
     pub method: Method,
     pub route: &'static str,
@@ -139,16 +233,16 @@ pub fn target(uri: &Uri) -> Option<String> {
 }
 
 impl Asked {
-    /// Builds the line of an answer.
-    pub fn answered(&self, key: Option<&str>, status: u16) -> Line {
+    /// Builds the line of an answer, or of none. An answer that made a scene or a job names it.
+    pub fn line(&self, status: Option<u16>, made: Option<String>) -> Line {
         Line {
             time: now(),
             request_id: self.request_id.to_string(),
-            key: key.map(str::to_owned),
+            key: self.key.get().cloned(),
             address: self.address,
             method: self.method.as_str().chars().take(16).collect(),
             route: self.route,
-            target: self.target.clone(),
+            target: made.or_else(|| self.target.clone()),
             status,
             event: None,
             bytes: None,
@@ -167,6 +261,11 @@ impl Line {
     pub fn event(self, event: &'static str) -> Line {
         Line { event: Some(event), ..self }
     }
+
+    /// Adds the time since the request's head.
+    pub fn after(self, at: Instant) -> Line {
+        Line { total_ms: Some(at.elapsed().as_secs_f64() * 1e3), ..self }
+    }
 }
 
 /// A line of the audit log about the server itself.
@@ -174,13 +273,15 @@ impl Line {
 pub struct Notice {
     time: f64,
     event: &'static str,
+    /// What was read again.
+    subject: &'static str,
     #[serde(skip_serializing_if = "Option::is_none")]
     error: Option<String>,
 }
 
 impl Notice {
-    pub fn new(event: &'static str, error: Option<String>) -> Notice {
-        Notice { time: now(), event, error }
+    pub fn new(event: &'static str, subject: &'static str, error: Option<String>) -> Notice {
+        Notice { time: now(), event, subject, error }
     }
 }
 
@@ -243,9 +344,11 @@ impl Drop for Logged {
 mod tests {
     use super::*;
 
-    fn asked() -> Asked {
+    fn asked(key: Option<&str>) -> Asked {
         Asked {
             request_id: RequestId::fresh(),
+            is_let_in: AtomicBool::new(true),
+            key: key.map_or_else(OnceLock::new, |key| OnceLock::from(key.to_owned())),
             address: Some("192.0.2.1".parse().unwrap()),
             method: Method::GET,
             route: "/v1/scenes/{id}/frame",
@@ -254,26 +357,33 @@ mod tests {
         }
     }
 
+    fn lines(path: &Path) -> Vec<serde_json::Value> {
+        let text = std::fs::read_to_string(path).unwrap();
+        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+    }
+
+    const PATIENCE: Duration = Duration::from_secs(60);
+
     #[test]
     fn a_body_is_logged_with_its_bytes_when_it_ends() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("access.log");
         let journal = Arc::new(Journal::open(&path).unwrap());
         let spent = Some(Spent { queue_ms: 2.0, device_ms: None });
-        let line = asked().answered(Some("eye"), 200);
+        let line = asked(Some("eye")).line(Some(200), None);
         let body = logged(Body::from("12345"), journal.clone(), line, spent, Instant::now());
         let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
         runtime.block_on(axum::body::to_bytes(body, 99)).unwrap();
+        assert!(journal.flush(PATIENCE));
         // Moved away, as logrotate does.
-        std::fs::rename(&path, folder.path().join("old")).unwrap();
+        let old = folder.path().join("old");
+        std::fs::rename(&path, &old).unwrap();
         journal.reopen();
-        journal.write(&asked().answered(None, 401).event("refused"));
-        let read = |name: &str| {
-            let text = std::fs::read_to_string(folder.path().join(name)).unwrap();
-            assert_eq!(text.lines().count(), 1, "{text}");
-            serde_json::from_str::<serde_json::Value>(&text).unwrap()
-        };
-        let first = read("old");
+        journal.write(&asked(None).line(Some(401), Some("made".to_owned())).event("refused"));
+        assert!(journal.flush(PATIENCE));
+        let (before, after) = (lines(&old), lines(&path));
+        assert_eq!((before.len(), after.len()), (1, 1), "{before:?} {after:?}");
+        let first = &before[0];
         for (name, value) in [
             ("key", serde_json::json!("eye")),
             ("bytes", 5.into()),
@@ -285,6 +395,49 @@ mod tests {
             assert_eq!(first[name], value, "{first}");
         }
         assert!(!first.to_string().contains("secret"));
-        assert_eq!(read("access.log")["event"], "refused");
+        assert_eq!((&after[0]["event"], &after[0]["target"]), (&"refused".into(), &"made".into()));
+    }
+
+    /// A pipe whose reader reads nothing stands for a disk that hangs.
+    #[cfg(unix)]
+    #[test]
+    fn a_log_that_stalls_loses_lines_and_says_how_many() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("pipe");
+        let made = std::process::Command::new("mkfifo").arg(&path).status().unwrap();
+        assert!(made.success());
+        let mut reader = File::options().read(true).write(true).open(&path).unwrap();
+        let journal = Journal::with_room(&path, 4).unwrap();
+        let text = "x".repeat(1000);
+        let mut sent = 0;
+        while journal.flush(Duration::from_millis(20)) {
+            journal.write(&text);
+            sent += 1;
+            assert!(sent < 10_000, "a pipe has no such room");
+        }
+        // More than wait.
+        for _ in 0..9 {
+            journal.write(&text);
+            sent += 1;
+        }
+        let lost = journal.lost().get();
+        assert!(lost > 0);
+        let read = std::thread::spawn(move || {
+            let (mut found, mut told) = (0, 0);
+            let lines = std::io::BufRead::lines(std::io::BufReader::new(&mut reader));
+            for line in lines {
+                let line: serde_json::Value = serde_json::from_str(&line.unwrap()).unwrap();
+                match line["count"].as_u64() {
+                    Some(count) => told += count,
+                    None => found += 1,
+                }
+                if found + told == sent {
+                    break;
+                }
+            }
+            (found, told)
+        });
+        let (found, told) = read.join().unwrap();
+        assert_eq!((found + told, told), (sent, lost));
     }
 }

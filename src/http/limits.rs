@@ -1,13 +1,15 @@
 //! Rates of requests, per key and per address, and the GPU time of keys. The [buckets](super::bucket) decide; this module holds
-//! their locks.
+//! their locks, and the quotas of the keys in force.
 //!
 //! A limit is refused with 429 and the time after which the request would be let in. A wrong key costs its address a token of a
-//! small bucket. While that is empty, the address's keys are not even looked at, so that nobody can try keys quickly.
+//! small bucket. While that is empty, the address gets 429 for wrong keys. Right keys are let in all the same, so that nobody
+//! locks out those with whom he shares an address; random keys of 128 bits need no slowing down to be safe.
 
+use std::collections::HashMap;
 use std::net::IpAddr;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
-use parking_lot::Mutex;
+use parking_lot::{Mutex, RwLock};
 
 use super::access::Quotas;
 use super::address;
@@ -21,9 +23,29 @@ const WRONG_KEYS: Rate = Rate { per_second: 0.5, burst: 20.0 };
 /// Seconds of its rate that a client may use at once.
 const BURST_SECONDS: f64 = 2.0;
 
-/// The buckets of all clients.
+/// What is known of a key that is in force.
+#[derive(Clone, Copy, Debug)]
+pub struct Holder {
+    pub quotas: Quotas,
+    /// Time from which the key is refused.
+    pub expires: Option<SystemTime>,
+}
+
+/// Whether a client that has been let in may go on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Standing {
+    Good,
+    /// Its key has no GPU time left for so long.
+    Spent(Duration),
+    /// Its key was removed, or has expired.
+    Gone,
+}
+
+/// The buckets of all clients, and the quotas of keys by the number of their clients.
 pub struct Limits {
     per_address: Option<Rate>,
+    /// `None` where no keys are required.
+    holders: RwLock<Option<HashMap<u64, Holder>>>,
     by_address: Mutex<Table<IpAddr>>,
     wrong_keys: Mutex<Table<IpAddr>>,
     by_key: Mutex<Table<u64>>,
@@ -35,11 +57,18 @@ fn rate(per_second: f64) -> Rate {
     Rate { per_second, burst: (BURST_SECONDS * per_second).max(1.0) }
 }
 
+/// Rate of a quota of GPU time, in milliseconds.
+fn device_rate(ms_per_minute: u64) -> Rate {
+    let ms = ms_per_minute as f64;
+    Rate { per_second: ms / 60.0, burst: ms }
+}
+
 impl Limits {
     /// Limits each address to `per_second` requests, if given.
     pub fn new(per_second: Option<f64>) -> Limits {
         Limits {
             per_address: per_second.map(rate),
+            holders: RwLock::new(None),
             by_address: Mutex::new(Table::new(MOST_BUCKETS)),
             wrong_keys: Mutex::new(Table::new(MOST_BUCKETS)),
             by_key: Mutex::new(Table::new(MOST_BUCKETS)),
@@ -47,32 +76,48 @@ impl Limits {
         }
     }
 
+    /// Puts the quotas of keys in force; `None` where no keys are required. A key whose GPU time is no longer limited owes none.
+    pub fn set_holders(&self, holders: Option<HashMap<u64, Holder>>) {
+        let mut device = self.device.lock();
+        for (key, holder) in holders.iter().flatten() {
+            if holder.quotas.device_ms_per_minute.is_none() {
+                device.forget(key);
+            }
+        }
+        drop(device);
+        *self.holders.write() = holders;
+    }
+
+    /// Returns the quotas of a key.
+    pub fn quotas(&self, key: u64) -> Quotas {
+        let holders = self.holders.read();
+        let holder = holders.as_ref().and_then(|holders| holders.get(&key));
+        holder.map_or_else(Quotas::default, |holder| holder.quotas)
+    }
+
     /// Counts a request of an address, before its key is looked at.
     ///
     /// # Errors
-    /// 429 after too many requests; if the request has a key, also after too many wrong keys.
-    pub fn admit_address(&self, from: IpAddr, has_key: bool, now: Instant) -> Result<(), Problem> {
-        let from = address::network(from);
-        if has_key && let Some(bucket) = self.wrong_keys.lock().existing(&from) {
-            bucket.check(now).map_err(|wait| {
-                Problem::new(
-                    Kind::TooManyRequests,
-                    "too many wrong API keys came from this address",
-                )
-                .at("Authorization")
-                .accepted("a known key, after the time in Retry-After")
-                .retry_after(wait)
-            })?;
-        }
+    /// 429 after too many requests.
+    pub fn admit_address(&self, from: IpAddr, now: Instant) -> Result<(), Problem> {
         let Some(rate) = self.per_address else { return Ok(()) };
         let mut table = self.by_address.lock();
-        table.bucket(from, rate, now).take(now).map_err(|wait| too_many(rate, "address", wait))
+        let bucket = table.bucket(address::network(from), rate, now);
+        bucket.take(now).map_err(|wait| too_many(rate, "address", wait))
     }
 
     /// Counts a wrong key of an address.
-    pub fn wrong_key(&self, from: IpAddr, now: Instant) {
-        let from = address::network(from);
-        self.wrong_keys.lock().bucket(from, WRONG_KEYS, now).charge(1.0, now);
+    ///
+    /// # Errors
+    /// 429 after too many wrong keys.
+    pub fn wrong_key(&self, from: IpAddr, now: Instant) -> Result<(), Problem> {
+        let mut table = self.wrong_keys.lock();
+        table.bucket(address::network(from), WRONG_KEYS, now).take(now).map_err(|wait| {
+            Problem::new(Kind::TooManyRequests, "too many wrong API keys came from this address")
+                .at("Authorization")
+                .accepted("a known key, or another try after the time in Retry-After")
+                .retry_after(wait)
+        })
     }
 
     /// Counts a request of a key, given the number of its client. `draws` tells whether the request uses the GPU.
@@ -91,8 +136,8 @@ impl Limits {
             table.bucket(key, rate, now).take(now).map_err(|wait| too_many(rate, "key", wait))?;
         }
         if draws && let Some(ms) = quotas.device_ms_per_minute {
-            let rate = Rate { per_second: ms as f64 / 60.0, burst: ms as f64 };
-            self.device.lock().bucket(key, rate, now).check(now).map_err(|wait| {
+            let mut table = self.device.lock();
+            table.bucket(key, device_rate(ms), now).check(now).map_err(|wait| {
                 let detail = format!("this key has used its {ms} ms of GPU time a minute");
                 Problem::new(Kind::DeviceQuota, detail)
                     .accepted(
@@ -106,14 +151,28 @@ impl Limits {
 
     /// Charges a key for GPU time, if its time is limited.
     pub fn charge(&self, key: u64, device: Duration, now: Instant) {
-        if let Some(bucket) = self.device.lock().existing(&key) {
-            bucket.charge(device.as_secs_f64() * 1e3, now);
+        if let Some(ms) = self.quotas(key).device_ms_per_minute {
+            let mut table = self.device.lock();
+            table.bucket(key, device_rate(ms), now).charge(device.as_secs_f64() * 1e3, now);
         }
     }
 
-    /// Returns the time until a key has GPU time again; `None` if it has some, or if its time is not limited.
-    pub fn device_wait(&self, key: u64, now: Instant) -> Option<Duration> {
-        self.device.lock().existing(&key)?.check(now).err()
+    /// Returns whether the client of a key may go on with what it was let in for.
+    pub fn standing(&self, key: u64, now: Instant, time: SystemTime) -> Standing {
+        let holder = match &*self.holders.read() {
+            None => return Standing::Good,
+            Some(holders) => holders.get(&key).copied(),
+        };
+        let Some(holder) = holder.filter(|holder| holder.expires.is_none_or(|end| end > time))
+        else {
+            return Standing::Gone;
+        };
+        let Some(ms) = holder.quotas.device_ms_per_minute else { return Standing::Good };
+        let mut table = self.device.lock();
+        match table.bucket(key, device_rate(ms), now).check(now) {
+            Ok(()) => Standing::Good,
+            Err(wait) => Standing::Spent(wait),
+        }
     }
 }
 
@@ -131,25 +190,40 @@ mod tests {
     const A: IpAddr = IpAddr::V4(std::net::Ipv4Addr::new(192, 0, 2, 1));
     const B: IpAddr = IpAddr::V4(std::net::Ipv4Addr::new(192, 0, 2, 2));
 
+    /// Limits with one key, `1`.
+    fn with_key(quotas: Quotas, expires: Option<SystemTime>) -> Limits {
+        let limits = Limits::new(None);
+        limits.set_holders(Some(HashMap::from([(1, Holder { quotas, expires })])));
+        limits
+    }
+
     #[test]
     fn wrong_keys_slow_their_address_down() {
         let (limits, start) = (Limits::new(None), Instant::now());
         for _ in 0..20 {
-            limits.admit_address(A, true, start).unwrap();
-            limits.wrong_key(A, start);
+            limits.wrong_key(A, start).unwrap();
         }
-        let refused = limits.admit_address(A, true, start).unwrap_err();
+        let refused = limits.wrong_key(A, start).unwrap_err();
         assert_eq!((refused.status(), refused.retry_after_ms), (429, Some(2000)));
-        assert!(limits.admit_address(A, false, start).is_ok(), "requests without a key");
-        assert!(limits.admit_address(B, true, start).is_ok(), "another address");
-        assert!(limits.admit_address(A, true, start + Duration::from_secs(2)).is_ok());
+        assert!(limits.wrong_key(B, start).is_ok(), "another address");
+        assert!(limits.wrong_key(A, start + Duration::from_secs(2)).is_ok());
+    }
+
+    #[test]
+    fn wrong_keys_of_many_addresses_share_an_allowance() {
+        let (limits, start) = (Limits::new(None), Instant::now());
+        let let_in = |numbers: std::ops::Range<u32>| {
+            let address = |number: u32| IpAddr::V4((0x0a00_0000 + number).into());
+            numbers.filter(|number| limits.wrong_key(address(*number), start).is_ok()).count()
+        };
+        assert_eq!(let_in(0..MOST_BUCKETS as u32), MOST_BUCKETS);
+        assert_eq!(let_in(1 << 20..(1 << 20) + 99), WRONG_KEYS.burst as usize);
     }
 
     #[test]
     fn requests_are_limited_by_address_and_by_key() {
         let (limits, start) = (Limits::new(Some(5.0)), Instant::now());
-        let let_in =
-            |from| (0..99).filter(|_| limits.admit_address(from, false, start).is_ok()).count();
+        let let_in = |from| (0..99).filter(|_| limits.admit_address(from, start).is_ok()).count();
         assert_eq!((let_in(A), let_in(B)), (10, 10));
         let quotas = Quotas { requests_per_second: Some(0.1), ..Quotas::default() };
         assert!(limits.admit_key(1, &quotas, false, start).is_ok());
@@ -160,16 +234,41 @@ mod tests {
 
     #[test]
     fn device_time_is_charged_afterwards() {
-        let (limits, start) = (Limits::new(None), Instant::now());
+        let (start, time) = (Instant::now(), SystemTime::now());
         let quotas = Quotas { device_ms_per_minute: Some(600), ..Quotas::default() };
+        let limits = with_key(quotas, None);
         limits.admit_key(1, &quotas, true, start).unwrap();
         limits.charge(1, Duration::from_millis(700), start);
-        limits.charge(2, Duration::from_secs(9), start);
         let refused = limits.admit_key(1, &quotas, true, start).unwrap_err();
         // 101 ms at 10 ms a second.
         assert_eq!((refused.status(), refused.retry_after_ms), (429, Some(10_100)));
         assert!(limits.admit_key(1, &quotas, false, start).is_ok(), "requests that draw nothing");
-        assert!(limits.admit_key(2, &quotas, true, start).is_ok());
-        assert!(limits.device_wait(1, start).is_some() && limits.device_wait(2, start).is_none());
+        assert!(matches!(limits.standing(1, start, time), Standing::Spent(_)));
+        // A reload that lifts the quota lets open streams go on at once.
+        let holder = Holder { quotas: Quotas::default(), expires: None };
+        limits.set_holders(Some(HashMap::from([(1, holder)])));
+        assert_eq!(limits.standing(1, start, time), Standing::Good);
+        limits.charge(1, Duration::from_secs(9), start);
+        assert_eq!(limits.standing(1, start, time), Standing::Good);
+    }
+
+    #[test]
+    fn time_is_charged_to_keys_that_get_a_quota_while_they_draw() {
+        let (start, time) = (Instant::now(), SystemTime::now());
+        let quotas = Quotas { device_ms_per_minute: Some(100), ..Quotas::default() };
+        let limits = with_key(quotas, None);
+        limits.charge(1, Duration::from_millis(200), start);
+        assert!(matches!(limits.standing(1, start, time), Standing::Spent(_)));
+    }
+
+    #[test]
+    fn keys_that_are_removed_or_expire_have_no_standing() {
+        let (start, time) = (Instant::now(), SystemTime::now());
+        let limits = with_key(Quotas::default(), Some(time + Duration::from_secs(5)));
+        assert_eq!(limits.standing(1, start, time), Standing::Good);
+        assert_eq!(limits.standing(1, start, time + Duration::from_secs(5)), Standing::Gone);
+        assert_eq!(limits.standing(2, start, time), Standing::Gone);
+        limits.set_holders(None);
+        assert_eq!(limits.standing(2, start, time), Standing::Good);
     }
 }

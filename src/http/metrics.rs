@@ -3,6 +3,7 @@
 
 use std::fmt;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use axum::http::Method;
 use prometheus_client::collector::Collector;
@@ -15,6 +16,8 @@ use prometheus_client::metrics::gauge::{ConstGauge, Gauge};
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
 use prometheus_client::registry::{Metric, Registry, Unit};
 
+use super::Edge;
+use super::limits::Limits;
 use crate::engine::{Class, EncodedFrame, Engine, Observer, Readiness, Receipt};
 use crate::jobs::Jobs;
 use crate::memory;
@@ -75,6 +78,7 @@ fn by_label<L: Clone + Eq + std::hash::Hash>() -> Histograms<L> {
 
 /// Durations of each stage of a frame, as reported by the engine.
 struct Stages {
+    limits: Arc<Limits>,
     queue: Histograms<ClassLabel>,
     batch: Histogram,
     passes: Histograms<PassLabel>,
@@ -86,9 +90,10 @@ struct Stages {
 }
 
 impl Stages {
-    fn new(shelf: &mut Shelf) -> Self {
+    fn new(shelf: &mut Shelf, limits: Arc<Limits>) -> Self {
         let sizes = Histogram::new(exponential_buckets(1.0, 2.0, 7));
         Self {
+            limits,
             queue: shelf.seconds("frame_queue", "A frame's wait for the GPU, by class", by_label()),
             batch: shelf.put("batch_frames", "Frames of a submission to the GPU", sizes),
             passes: shelf.seconds(
@@ -126,6 +131,10 @@ impl Observer for Stages {
         self.batch.observe(frames as f64);
     }
 
+    fn spent(&self, caller: u64, device: Duration) {
+        self.limits.charge(caller, device, Instant::now());
+    }
+
     fn frame(&self, class: Class, receipt: &Receipt) {
         let class = ClassLabel { class: class.name() };
         self.queue.get_or_create(&class).observe(seconds_of(receipt.queue_ns));
@@ -158,8 +167,8 @@ pub struct Metrics {
 }
 
 impl Metrics {
-    /// Registers the metrics and observes the engine from now on.
-    pub fn new(engine: &Engine, jobs: Option<&Jobs>) -> Self {
+    /// Registers the metrics and observes the engine from now on. `limits` charges keys for their GPU time.
+    pub fn new(engine: &Engine, jobs: Option<&Jobs>, limits: Arc<Limits>, edge: &Edge) -> Self {
         let mut shelf = Shelf(Registry::with_prefix("pointillist"));
         let requests = Family::default();
         let requests = shelf.put("http_requests", "Answers by route, method and status", requests);
@@ -175,7 +184,14 @@ impl Metrics {
         let streams_open = shelf.put("streams_open", "Streams open", Gauge::default());
         let image_bytes = shelf.bytes("images", "Encoded images sent");
         let upload_bytes = shelf.bytes("uploads", "Bytes of scenes and assets received");
-        engine.observe(Arc::new(Stages::new(&mut shelf)));
+        engine.observe(Arc::new(Stages::new(&mut shelf, limits)));
+        for (name, log) in
+            [("access_log_lost", &edge.access_log), ("audit_log_lost", &edge.audit_log)]
+        {
+            if let Some(log) = log {
+                shelf.put(name, "Lines that were not written, because the log stalled", log.lost());
+            }
+        }
         shelf.0.register_collector(Box::new(EngineCollector(engine.clone())));
         if let Some(jobs) = jobs {
             shelf.0.register_collector(Box::new(JobCollector(jobs.clone())));
@@ -249,6 +265,11 @@ impl Collector for EngineCollector {
             ("engine_batches", "Submissions to the GPU", stats.batches),
             ("engine_coalesced", "Jobs that shared another's frame", stats.coalesced),
             ("engine_cancelled", "Jobs abandoned before submission", stats.cancelled),
+            (
+                "engine_given_up",
+                "Blurred frames ended between exposures, because their clients had gone",
+                stats.given_up,
+            ),
             ("engine_overtaken", "Jobs that a newer one replaced", stats.overtaken),
             ("engine_expired", "Jobs dropped for their deadline", stats.expired),
             ("engine_refused", "Jobs refused because the queue was full", stats.refused),
@@ -352,7 +373,7 @@ mod tests {
     #[test]
     fn every_stage_is_counted_with_its_label() {
         let mut shelf = Shelf(Registry::with_prefix("p"));
-        let stages = Stages::new(&mut shelf);
+        let stages = Stages::new(&mut shelf, Arc::new(Limits::new(None)));
         let pass = |name, gpu_ns| PassReceipt { name, ran: true, gpu_ns, why: None };
         let receipt = Receipt {
             views: 4,

@@ -60,12 +60,13 @@ pub mod tls;
 mod upload;
 mod viewer;
 
+use std::collections::HashMap;
 use std::hash::{BuildHasher, RandomState};
 use std::net::IpAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use axum::Router;
 use axum::extract::{DefaultBodyLimit, FromRequestParts, Path};
@@ -84,10 +85,12 @@ pub use problem::Problem;
 pub use stream::StreamLimits;
 pub use upload::quota::UploadLimits;
 
-use self::access::{Quotas, Rules};
+use self::access::signed::Caps;
+use self::access::{Quotas, Reread, Rules};
 use self::journal::{Journal, Notice};
+use self::limits::{Holder, Limits, Standing};
 use crate::accuracy::service::Surveys;
-use crate::engine::{Client, EncodedFrame, Engine};
+use crate::engine::{Client, Engine, EngineError, ResolvedFrame};
 use crate::jobs::Jobs;
 
 /// Configuration of the HTTP side.
@@ -113,8 +116,8 @@ pub struct Settings {
     pub drain_delay: Duration,
     /// Whether clients may add scenes.
     pub uploads: bool,
-    /// Reads the rules again; `None` where there is nothing to read.
-    pub reread_access: Option<access::Reread>,
+    /// Reads keys and certificates again.
+    pub reread: Reread,
     pub streams: stream::StreamLimits,
     pub watches: WatchLimits,
     pub edge: Edge,
@@ -157,7 +160,7 @@ pub struct App {
     timing_origins: Option<HeaderValue>,
     /// The rules in force.
     rules: parking_lot::RwLock<Arc<Rules>>,
-    limits: limits::Limits,
+    limits: Arc<Limits>,
     /// Connections by address.
     connections: headcount::Headcount<IpAddr>,
     phase: AtomicU8,
@@ -177,10 +180,16 @@ pub enum Phase {
 impl App {
     pub fn new(engine: Engine, settings: Settings, jobs: Result<Jobs, String>) -> Arc<App> {
         let folder = jobs.as_ref().ok().map(|jobs| jobs.folder().join("accuracy"));
-        Arc::new(App {
+        let limits = Arc::new(Limits::new(settings.edge.requests_per_second_per_address));
+        let app = Arc::new(App {
             surveys: Surveys::open(engine.clone(), folder),
             comparing: Arc::new(tokio::sync::Semaphore::new(1)),
-            metrics: metrics::Metrics::new(&engine, jobs.as_ref().ok()),
+            metrics: metrics::Metrics::new(
+                &engine,
+                jobs.as_ref().ok(),
+                limits.clone(),
+                &settings.edge,
+            ),
             jobs,
             registry: registry::Registry::default(),
             uploads: upload::quota::Quota::new(settings.upload_limits),
@@ -194,7 +203,7 @@ impl App {
                 access: settings.access.clone(),
                 tls: settings.edge.tls.clone(),
             })),
-            limits: limits::Limits::new(settings.edge.requests_per_second_per_address),
+            limits,
             connections: headcount::Headcount::new(
                 usize::MAX,
                 settings.edge.max_connections_per_address.unwrap_or(usize::MAX),
@@ -202,7 +211,9 @@ impl App {
             phase: AtomicU8::new(0),
             engine,
             settings,
-        })
+        });
+        app.know_keys(&app.settings.access);
+        app
     }
 
     pub fn phase(&self) -> Phase {
@@ -214,30 +225,59 @@ impl App {
         }
     }
 
-    /// Opens the logs anew, reads keys and certificates again, and puts them in force together. If one of them cannot be used,
-    /// everything stays as it was.
+    /// Opens the logs anew, and reads keys and certificates again. Each is put in force by itself: if one of them cannot be used, it
+    /// stays as it was.
     pub fn reload(&self) {
         let edge = &self.settings.edge;
         for journal in edge.access_log.iter().chain(&edge.audit_log) {
             journal.reopen();
         }
-        let Some(reread) = &self.settings.reread_access else {
+        let Reread { access, tls } = &self.settings.reread;
+        if access.is_none() && tls.is_none() {
             tracing::info!("no API keys or certificates to read again");
-            return;
-        };
-        let error = match reread.0() {
-            Ok(rules) => {
-                *self.rules.write() = Arc::new(rules);
-                tracing::info!("API keys and certificates read again");
-                None
+        }
+        if let Some(read) = access {
+            let read = read.0().map(|access| {
+                self.know_keys(&access);
+                self.put_in_force(|rules| Rules { access, ..rules });
+            });
+            self.tell_reload("API keys", "keys", read);
+        }
+        if let Some(read) = tls {
+            let read =
+                read.0().map(|tls| self.put_in_force(|rules| Rules { tls: Some(tls), ..rules }));
+            self.tell_reload("certificates", "certificates", read);
+        }
+    }
+
+    fn put_in_force(&self, change: impl FnOnce(Rules) -> Rules) {
+        let mut rules = self.rules.write();
+        *rules = Arc::new(change(Rules::clone(&rules)));
+    }
+
+    /// Tells the quotas of keys, which open streams are held to as well.
+    fn know_keys(&self, access: &access::Access) {
+        let holders = match access {
+            access::Access::Open { .. } => None,
+            access::Access::Keys(keys) => {
+                let holder = |key: &access::ApiKey| {
+                    (self.number_of(key), Holder { quotas: key.quotas, expires: key.expires })
+                };
+                Some(keys.iter().map(holder).collect::<HashMap<_, _>>())
             }
-            Err(error) => {
-                tracing::error!(error, "the API keys and certificates in force stay");
-                Some(error)
-            }
         };
+        self.limits.set_holders(holders);
+    }
+
+    /// Logs the outcome of a reload of `what`.
+    fn tell_reload(&self, what: &str, subject: &'static str, read: Result<(), String>) {
+        let error = read.err();
+        match &error {
+            None => tracing::info!("{what} read again"),
+            Some(error) => tracing::error!(error, "the {what} in force stay"),
+        }
         let event = if error.is_none() { "reload" } else { "reload-refused" };
-        self.audit(&Notice::new(event, error));
+        self.audit(&Notice::new(event, subject, error));
     }
 
     fn audit(&self, entry: &impl serde::Serialize) {
@@ -253,26 +293,35 @@ impl App {
 
     /// Returns the limits of a client's key, as they are now.
     pub(crate) fn quotas_of(&self, client: Client) -> Quotas {
-        let rules = self.rules.read().clone();
-        let (access::Access::Keys(keys), Client::Caller(number)) = (&rules.access, client) else {
-            return Quotas::default();
-        };
-        let key = keys.iter().find(|key| self.number_of(key) == number);
-        key.map_or_else(Quotas::default, |key| key.quotas)
+        client.owner().map_or_else(Quotas::default, |number| self.limits.quotas(number))
     }
 
-    /// Counts a frame that is sent to a client, and charges the client's key for it.
-    pub(crate) fn sent(&self, client: Client, frame: &EncodedFrame) {
-        self.metrics.frame(frame);
-        if let (Client::Caller(number), Some(ns)) = (client, frame.receipt.gpu_share_ns()) {
-            self.limits.charge(number, Duration::from_nanos(ns), Instant::now());
+    /// Returns whether a client that has been let in may go on drawing.
+    pub(crate) fn standing(&self, client: Client, caps: &Caps) -> Standing {
+        if caps.until.is_some_and(|end| end <= SystemTime::now()) {
+            return Standing::Gone;
         }
+        let Some(number) = client.owner() else { return Standing::Good };
+        self.limits.standing(number, Instant::now(), SystemTime::now())
     }
 
-    /// Returns the time until a client has GPU time again, if its key has used it up.
-    pub(crate) fn device_wait(&self, client: Client, now: Instant) -> Option<Duration> {
-        let Client::Caller(number) = client else { return None };
-        self.limits.device_wait(number, now)
+    /// Refuses a frame that is larger or dearer than a signed address allows.
+    pub(crate) fn check_caps(&self, caps: &Caps, frame: &ResolvedFrame) -> Result<(), Problem> {
+        let over = |what, found, limit, parameter| {
+            Err(EngineError::OverLimit { what, found, limit, parameter }.into())
+        };
+        let request = &frame.request;
+        let pixels = u64::from(request.width) * u64::from(request.height);
+        if let Some(most) = caps.pixels.filter(|most| pixels > *most) {
+            return over("pixels of a frame by this signed address", pixels, most, Some("w"));
+        }
+        let Some(most) = caps.device_ms else { return Ok(()) };
+        let estimate = self.engine.estimated_cost(frame);
+        let found = u64::try_from(estimate.as_nanos().div_ceil(1_000_000)).unwrap_or(u64::MAX);
+        match found > most {
+            true => over("estimated GPU milliseconds by this signed address", found, most, None),
+            false => Ok(()),
+        }
     }
 
     pub fn set_phase(&self, phase: Phase) {
@@ -288,9 +337,9 @@ impl App {
     }
 }
 
-/// Identity of a request's sender for shares and limits; attached to every request that has passed the access rules.
+/// Identity of a request's sender for shares and limits, and the limits of a signed address; attached to every request that has passed the access rules.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Caller(pub Client);
+pub(crate) struct Caller(pub Client, pub Caps);
 
 /// The key of a request, where keys are required; attached beside [`Caller`].
 #[derive(Clone, Debug, Default)]
@@ -416,12 +465,19 @@ pub fn router(app: Arc<App>) -> Router {
     router.with_state(app)
 }
 
-/// Builds the routes of the listener for monitoring, which asks for no key.
-pub fn monitoring(app: Arc<App>) -> Router {
+/// Builds the routes of the listener for monitoring, which asks for no key. If `only_loopback`, it answers only to names of loopback.
+pub fn monitoring(app: Arc<App>, only_loopback: bool) -> Router {
+    let guard = move |request: axum::extract::Request, next: axum::middleware::Next| async move {
+        if only_loopback {
+            access::check_host(request.uri(), request.headers())?;
+        }
+        Ok::<_, Problem>(next.run(request).await)
+    };
     Router::new()
         .route("/metrics", get(service::metrics))
         .route("/healthz", get(service::healthz))
         .route("/readyz", get(service::readyz))
+        .layer(axum::middleware::from_fn(guard))
         .with_state(app)
 }
 

@@ -87,7 +87,7 @@ pub struct Picks {
 )]
 pub async fn pick(
     State(app): State<Arc<App>>,
-    Extension(Caller(client)): Extension<Caller>,
+    Extension(caller): Extension<Caller>,
     Extension(request_id): Extension<RequestId>,
     Segments(id): Segments<String>,
     uri: Uri,
@@ -104,7 +104,7 @@ pub async fn pick(
         }
     }
     let PixelParams { x, y } = PixelParams::of(x, y)?;
-    answer(&app, Origin { client, request_id }, &id, &params, vec![[x, y]]).await
+    answer(&app, caller, request_id, &id, &params, vec![[x, y]]).await
 }
 
 /// Surfaces that several pixels show.
@@ -121,7 +121,7 @@ pub async fn pick(
 )]
 pub async fn pick_many(
     State(app): State<Arc<App>>,
-    Extension(Caller(client)): Extension<Caller>,
+    Extension(caller): Extension<Caller>,
     Extension(request_id): Extension<RequestId>,
     Segments(id): Segments<String>,
     _: NoQuery,
@@ -149,7 +149,7 @@ pub async fn pick_many(
             return Err(Problem::parameter(name, reason, "`x` and `y`, or `pixels`"));
         }
     };
-    answer(&app, Origin { client, request_id }, &id, &params, pixels).await
+    answer(&app, caller, request_id, &id, &params, pixels).await
 }
 
 impl PixelParams {
@@ -161,7 +161,8 @@ impl PixelParams {
 
 async fn answer(
     app: &Arc<App>,
-    origin: Origin,
+    Caller(client, caps): Caller,
+    request_id: RequestId,
     id: &str,
     params: &FrameParams,
     pixels: Vec<[u32; 2]>,
@@ -170,10 +171,11 @@ async fn answer(
     let deadline = request.deadline;
     let resolved = resolve(app, request_of(request)).await;
     let resolved = resolved.map_err(|problem| missing(app, id, problem))?;
-    let client = origin.client;
+    app.check_caps(&caps, &resolved)?;
+    let origin = Origin { client, request_id };
     let (ticket, picker) = app.engine.pick(origin, &resolved, pixels)?;
     let frame = wait(app, ticket, deadline).await?;
-    app.sent(client, &frame);
+    app.metrics.frame(&frame);
     let receipt = &frame.receipt;
     let (scene, revision, camera) =
         (receipt.scene.clone(), receipt.revision, receipt.camera.clone());

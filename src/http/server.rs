@@ -18,7 +18,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum_server::Handle;
+use axum_server::{Handle, Server};
 use hyper_util::rt::TokioTimer;
 use tokio::sync::Semaphore;
 use tokio::task::JoinHandle;
@@ -32,6 +32,9 @@ use crate::engine::{Engine, Readiness, Source};
 
 /// Requests in flight on one HTTP/2 connection.
 const MAX_STREAMS: u32 = 128;
+
+/// Open connections of those who read metrics on a listener of its own.
+const MONITORS: usize = 64;
 
 /// Scenes to load at the start.
 #[derive(Clone, Debug, Default)]
@@ -148,15 +151,27 @@ async fn run(
     listener: TcpListener,
     handle: Handle<SocketAddr>,
 ) -> std::io::Result<()> {
-    let settings = &app.settings;
-    let read_timeout = settings.read_timeout;
+    let places = app.settings.max_connections;
+    let server = with_limits(&app, listener, places, true)?.handle(handle);
+    server.serve(router(app).into_make_service_with_connect_info::<SocketAddr>()).await
+}
+
+/// Builds a server with the limits of connections, heads and times, for at most `places` connections.
+fn with_limits(
+    app: &Arc<App>,
+    listener: TcpListener,
+    places: usize,
+    speaks_tls: bool,
+) -> std::io::Result<Server<SocketAddr, Doorkeeper>> {
+    let read_timeout = app.settings.read_timeout;
     let acceptor = Doorkeeper {
         app: app.clone(),
-        places: Arc::new(Semaphore::new(settings.max_connections)),
+        places: Arc::new(Semaphore::new(places)),
         probes: Arc::new(Semaphore::new(PROBES)),
         read_timeout,
+        speaks_tls,
     };
-    let mut server = axum_server::from_tcp(listener)?.handle(handle).acceptor(acceptor);
+    let mut server = axum_server::from_tcp(listener)?.acceptor(acceptor);
     let builder = server.http_builder();
     builder
         .http1()
@@ -171,17 +186,18 @@ async fn run(
         .max_concurrent_streams(MAX_STREAMS)
         .keep_alive_interval(read_timeout)
         .keep_alive_timeout(read_timeout);
-    server.serve(router(app).into_make_service_with_connect_info::<SocketAddr>()).await
+    Ok(server)
 }
 
-/// Serves metrics and health on a listener of its own until the process ends, without TLS, keys or limits.
+/// Serves metrics and health on a listener of its own until the process ends, without TLS and keys.
 ///
 /// # Errors
 /// A failed listener.
 pub async fn serve_monitoring(app: Arc<App>, listener: TcpListener) -> std::io::Result<()> {
     listener.set_nonblocking(true)?;
-    let listener = tokio::net::TcpListener::from_std(listener)?;
-    axum::serve(listener, super::monitoring(app)).await
+    let only_loopback = listener.local_addr()?.ip().is_loopback();
+    let server = with_limits(&app, listener, MONITORS, false)?;
+    server.serve(super::monitoring(app, only_loopback).into_make_service()).await
 }
 
 /// A scene to load at the start.

@@ -4,14 +4,15 @@ use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
 use axum::Json;
-use axum::extract::State;
+use axum::extract::{Extension, State};
 use axum::http::{HeaderName, HeaderValue, Method, Uri, header};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use utoipa::ToSchema;
 
+use super::access::Quotas;
 use super::problem::{Kind, Problem};
-use super::{App, NoQuery, Phase, ROUTES, metrics as exposition, openapi_yaml};
+use super::{App, NoQuery, Owner, Phase, ROUTES, metrics as exposition, openapi_yaml};
 use crate::engine::{Limits, Readiness};
 use crate::plan::{self, Setting};
 use crate::spelling::nearest;
@@ -149,6 +150,34 @@ pub struct ServerLimits {
     max_stream_messages_per_second: u32,
     /// Limits of jobs; `null` if this server accepts none.
     jobs: Option<JobLimits>,
+    /// Limits of the request's key; `null` if this server asks for none.
+    key: Option<KeyLimits>,
+}
+
+/// Limits of one key; `null` where only the limits of the server apply.
+#[derive(Serialize, ToSchema)]
+pub struct KeyLimits {
+    /// Maximum number of uploaded scenes, and of their bytes on disk.
+    max_scenes: Option<u64>,
+    max_bytes: Option<u64>,
+    /// Maximum number of open streams.
+    max_streams: Option<usize>,
+    max_requests_per_second: Option<f64>,
+    /// Maximum GPU time in milliseconds per minute.
+    max_device_ms_per_minute: Option<u64>,
+}
+
+impl KeyLimits {
+    fn of(quotas: &Quotas) -> KeyLimits {
+        let Quotas { scenes, bytes, device_ms_per_minute, streams, requests_per_second } = *quotas;
+        KeyLimits {
+            max_scenes: scenes,
+            max_bytes: bytes,
+            max_streams: streams,
+            max_requests_per_second: requests_per_second,
+            max_device_ms_per_minute: device_ms_per_minute,
+        }
+    }
 }
 
 /// Limits and current use of uploads. Limits per key apply if the server asks for keys.
@@ -195,7 +224,11 @@ pub struct JobLimits {
     tag = "service",
     responses((status = 200, description = "The limits", body = ServerLimits)),
 )]
-pub async fn limits(State(app): State<Arc<App>>, _: NoQuery) -> Json<ServerLimits> {
+pub async fn limits(
+    State(app): State<Arc<App>>,
+    Extension(owner): Extension<Owner>,
+    _: NoQuery,
+) -> Json<ServerLimits> {
     let settings = &app.settings;
     let ms = |duration: Duration| u64::try_from(duration.as_millis()).unwrap_or(u64::MAX);
     Json(ServerLimits {
@@ -236,6 +269,7 @@ pub async fn limits(State(app): State<Arc<App>>, _: NoQuery) -> Json<ServerLimit
                 watch_ms: ms(settings.watches.longest),
             }
         }),
+        key: owner.name.as_ref().map(|_| KeyLimits::of(&owner.quotas)),
     })
 }
 

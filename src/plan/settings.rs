@@ -24,6 +24,7 @@ mod goal;
 mod numbers;
 mod part;
 mod shadows;
+mod stereo;
 mod text;
 mod trades;
 mod used;
@@ -36,8 +37,8 @@ pub use declaration::{Choice, Rule, Setting, SettingError, SettingKind};
 pub use effects::Effect;
 pub use goal::Pinned;
 pub use numbers::{
-    Aperture, Budget, ColorBound, EdlRadius, EdlStrength, Exposure, FocusDistance, LineWidth,
-    MaxError, MinPsnr, PointSize, PointSizePx, Shutter,
+    Aperture, Budget, ColorBound, EdlRadius, EdlStrength, Exposure, EyeOffset, FocusDistance,
+    LineWidth, MaxError, MinPsnr, PointSize, PointSizePx, Shutter,
 };
 pub use part::{ImagePart, MOST_WHOLE_PX};
 pub use shadows::{ShadowPx, Shadows};
@@ -103,6 +104,7 @@ const FOGGY: Rule = Rule::new("scene_fog", &["some"], "");
 const BLURRED: Rule = Rule::new("blur", &["some"], "");
 const APERTURE: Rule =
     Rule::new("aperture", &[], "the aperture is 0, so that everything is sharp at every distance");
+const SHIFTED: Rule = Rule::new("eye_offset", &[], "the eye is not shifted");
 const EDL: Rule = Rule::new("edl", &["on", "auto"], "eye-dome lighting is off");
 const SURELY_SPLATS: Rule = Rule::new("reconstruct", &["splats", "fuzzy", "painted"], "");
 const THREE_PASSES: Rule = Rule::new("reconstruct", &["splats"], "");
@@ -371,6 +373,16 @@ settings! {
     /// other points of the pixels.
     blur_samples: BlurSamples => BlurSamples {
         label: "Exposures", kind: SettingKind::own::<BlurSamples>(), needs: [], useful_with: [COLORS, BLURRED]
+    }
+    /// Shift of the eye to the right in scene units, for one image of a stereo pair: minus or plus half the distance between the eyes. What lies at
+    /// `stereo_distance` keeps its place in the image. A camera with parallel rays has no such images.
+    eye_offset: f64 => EyeOffset {
+        label: "Eye offset", kind: EyeOffset::kind(), needs: [], useful_with: []
+    }
+    /// Distance along the viewing axis of what both images of a stereo pair show in the same place, in scene units; by default that of the camera's
+    /// target.
+    stereo_distance: f64 => FocusDistance {
+        label: "Stereo distance", kind: FocusDistance::kind(), needs: [SHIFTED], useful_with: []
     }
     /// Colour of pixels that show nothing; the scene's value by default. JPEG and video cannot store transparency and show black.
     background: Background => Option<Background> {

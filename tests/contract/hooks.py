@@ -129,6 +129,18 @@ def follow_lens(params):
         params["focus_distance"] = 3
 
 
+def follow_stereo(params):
+    """A shift of the eye that fits the distance of the image, in perspective."""
+    if params.keys() & {"ortho_height", "view", "proj"} or params.get("projection") == "orthographic":
+        params.pop("eye_offset", None)
+        params.pop("stereo_distance", None)
+    if "stereo_distance" in params:
+        params["eye_offset"] = 0.1
+        params["stereo_distance"] = 3
+    if "eye_offset" in params:
+        params["eye_offset"] = 0.1
+
+
 def default_of(name):
     """A setting's default; `None` where the scene has one, or where there is none."""
     return next((setting.get("default") for setting in SETTINGS if setting["name"] == name), None)
@@ -184,6 +196,7 @@ def follow_settings(params):
     if "focus_distance" in params:
         params["aperture"] = 0.1
     follow_lens(params)
+    follow_stereo(params)
     follow_needs(params)
     follow_clip_boxes(params)
     follow_part(params)
@@ -276,6 +289,8 @@ def follow_comparison(body):
             # The reference has no lens, and the pose that they share may be one of parallel rays.
             settings.pop("aperture", None)
             settings.pop("focus_distance", None)
+            settings.pop("eye_offset", None)
+            settings.pop("stereo_distance", None)
             follow_settings(settings)
     if "b" in body:
         body.pop("against", None)

@@ -125,6 +125,38 @@ fn a_batch_changes_no_blurred_frame() {
     }
 }
 
+/// Exposures are submitted part by part, so that a frame ends soon after its last client has gone.
+#[test]
+fn a_blurred_frame_ends_when_nobody_waits_for_it() {
+    let studio = Studio::new();
+    studio.load_two();
+    let lens = through_lens("solid", Settings::drawn_as(Reconstruct::Points));
+    let blur_samples = BlurSamples::Exposures128;
+    let long = FrameRequest {
+        width: 256,
+        height: 256,
+        settings: Settings { blur_samples, ..lens.settings },
+        ..lens
+    };
+    let whole = studio.bytes(&long);
+    // A frame that is begun is dropped; one that is dropped too early or too late is drawn again.
+    let mut tries = 0;
+    while studio.engine.stats().given_up == 0 {
+        tries += 1;
+        assert!(tries < 500, "no frame was given up");
+        let moved =
+            FrameRequest { pose: Pose::Camera(camera(1e-3 * f64::from(tries))), ..long.clone() };
+        let ticket = studio.submit(&moved);
+        while studio.engine.stats().queued > 0 {
+            std::thread::yield_now();
+        }
+        drop(ticket);
+        // It is through when the next one is.
+        studio.bytes(&front("solid", 16, 16));
+    }
+    same(&studio.bytes(&long), &whole, "after a frame that was given up");
+}
+
 /// A camera that moves sideways while the shutter is open: an edge becomes a ramp as wide as the way in pixels.
 #[test]
 fn an_edge_becomes_a_ramp_while_the_camera_moves() {

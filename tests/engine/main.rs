@@ -36,6 +36,7 @@ mod rounds;
 mod sheets;
 mod side_files;
 mod splats_hard;
+mod stereo;
 mod studio;
 mod tags;
 mod trees;

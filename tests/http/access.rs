@@ -14,6 +14,7 @@ use tokio_rustls::rustls::{ClientConfig, ClientConnection, RootCertStore, Stream
 
 use super::client::{Client, Reply, raw, read_to_close};
 use super::daemon::{Daemon, eventually, grid_ply};
+use super::stream::{Came, Stream};
 
 const FRAME: &str = "/v1/scenes/grid/frame?w=64&h=64";
 
@@ -79,16 +80,32 @@ fn scenes_belong_to_the_key_that_uploaded_them() {
     let client = daemon.client();
     let remove = |key: &str| send(&client, key, "DELETE", "/v1/scenes/his", None).status;
     assert_eq!((remove("ann"), remove("root")), (403, 204));
-    let text = std::fs::read_to_string(&audit).unwrap();
-    let lines: Vec<serde_json::Value> =
-        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-    let has = |event: &str, key: &str, target: &str| {
-        lines
-            .iter()
-            .any(|line| line["event"] == event && line["key"] == key && line["target"] == target)
+    let status = |key: &str, path: &str| send(&client, key, "GET", path, None).status;
+    assert_eq!((status("", "/v1/scenes"), client.get("/v1/scenes").status), (401, 401));
+    let of = |method: &str, event: &str, key: &str, target: &str| {
+        lines(&audit).iter().any(|line| {
+            line["method"] == method
+                && line["event"] == event
+                && line["key"] == key
+                && line["target"] == target
+        })
     };
-    assert!(has("change", "ann", "hers") && has("change", "root", "his"), "{text}");
-    assert!(has("refused", "bob", "hers"), "{text}");
+    eventually("the lines of changes", || {
+        of("POST", "change", "ann", "hers")
+            && of("DELETE", "change", "ann", "hers")
+            && of("DELETE", "change", "root", "his")
+    });
+    assert!(of("DELETE", "refused", "bob", "hers"));
+    // A request without a key is no refused key.
+    let all = lines(&audit);
+    assert_eq!(all.iter().filter(|line| line["status"] == 401).count(), 1, "{all:?}");
+}
+
+/// Reads a log.
+fn lines(path: &Path) -> Vec<serde_json::Value> {
+    let text = std::fs::read_to_string(path).unwrap();
+    // The last line may not be whole yet.
+    text.split_inclusive('\n').filter_map(|line| serde_json::from_str(line).ok()).collect()
 }
 
 #[test]
@@ -134,6 +151,70 @@ fn keys_expire_and_have_limits() {
     assert!((0..5).all(|_| get("slow", "/v1/scenes").status == 200));
 }
 
+/// Frames that the engine has drawn.
+fn drawn(client: &Client, key: &str) -> usize {
+    let text = send(client, key, "GET", "/metrics", None).text();
+    let line = text.lines().find(|line| line.starts_with("pointillist_engine_frames_total "));
+    line.unwrap().split(' ').next_back().unwrap().parse().unwrap()
+}
+
+#[test]
+fn gpu_time_is_charged_for_what_is_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let poor = |more: &str| [table("poor", "read", more), table("free", "read", "")];
+    let keys = key_file(folder.path(), &poor("device-ms-per-minute = 1"));
+    let daemon = Daemon::start(&["--api-keys", keys.to_str().unwrap(), "--max-batch", "1"]);
+    let client = daemon.client();
+    // Asking for the head of a frame draws nothing, and costs nothing.
+    let is_spent = || send(&client, "poor", "HEAD", FRAME, None).status == 429;
+    assert!(!is_spent());
+    let big = "GET /v1/scenes/grid/frame?w=2048&h=2048 HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer poor\r\n\r\n";
+    eventually("the charge for a frame whose client has gone", || {
+        let connection = raw(daemon.address, big.as_bytes());
+        // The frame is under way once the engine has been asked for something else.
+        assert_eq!(send(&client, "free", "GET", FRAME, None).status, 200);
+        drop(connection);
+        is_spent()
+    });
+    // A new file of keys gives the key more time, and one request may not use more than that.
+    std::fs::write(&keys, poor("device-ms-per-minute = 2").concat()).unwrap();
+    hang_up(daemon.id());
+    let limit = |key: &str| {
+        let limits = send(&client, key, "GET", "/v1/limits", None).json();
+        limits["key"]["max_device_ms_per_minute"].as_u64()
+    };
+    eventually("the new limit", || limit("poor") == Some(2));
+    assert_eq!(limit("free"), None);
+    std::fs::write(&keys, poor("").concat()).unwrap();
+    hang_up(daemon.id());
+    eventually("no limit", || !is_spent());
+    std::fs::write(&keys, poor("device-ms-per-minute = 3").concat()).unwrap();
+    hang_up(daemon.id());
+    eventually("a limit again", || limit("poor") == Some(3));
+    let poses: Vec<serde_json::Value> =
+        (0..60).map(|n| serde_json::json!({"w": 256, "h": 256 + n})).collect();
+    let many = serde_json::json!({ "poses": poses }).to_string();
+    let before = drawn(&client, "free");
+    let reply = std::thread::scope(|scope| {
+        let asked =
+            || send(&client, "poor", "POST", "/v1/scenes/grid/frames", Some(many.as_bytes()));
+        let asked = scope.spawn(asked);
+        eventually("the end of its time", is_spent);
+        // While others get their frames, the request waits for time.
+        for height in 1..=30 {
+            let path = format!("/v1/scenes/grid/frame?w=256&h={height}");
+            assert_eq!(send(&client, "free", "GET", &path, None).status, 200);
+        }
+        let others = drawn(&client, "free") - before - 30;
+        assert!(others < 20, "{others} frames were drawn without time");
+        std::fs::write(&keys, poor("").concat()).unwrap();
+        hang_up(daemon.id());
+        asked.join().unwrap()
+    });
+    assert_eq!(reply.status, 200);
+    assert_eq!(reply.text().matches("content-type: image/png").count(), 60);
+}
+
 #[test]
 fn wrong_keys_are_throttled_and_logged() {
     let folder = tempfile::tempdir().unwrap();
@@ -155,10 +236,11 @@ fn wrong_keys_are_throttled_and_logged() {
         client.send("GET", FRAME, &headers, None)
     };
     let statuses: Vec<u16> = (0..25).map(|_| from("192.0.2.1", "a-guess").status).collect();
-    assert!(statuses[..19].iter().all(|status| *status == 401), "{statuses:?}");
-    let refused = from("192.0.2.1", "eye");
-    assert_eq!(refused.status, 429, "keys are not looked at any more");
+    assert!(statuses[..20].iter().all(|status| *status == 401), "{statuses:?}");
+    let refused = from("192.0.2.1", "a-guess");
+    assert_eq!(refused.status, 429);
     assert!(refused.header("retry-after").is_some());
+    assert_eq!(from("192.0.2.1", "eye").status, 200, "who shares the address is not locked out");
     assert_eq!(from("192.0.2.2", "eye").status, 200);
     let log = daemon.log();
     assert!(log.contains("wrong API key") && log.contains("192.0.2.1"), "{log}");
@@ -207,6 +289,8 @@ fn metrics_move_to_a_listener_of_their_own() {
     assert!(client.get("/metrics").text().contains("pointillist_http_requests_total"));
     assert_eq!((client.get("/healthz").status, client.get("/readyz").status), (200, 200));
     assert_eq!(client.get("/v1/scenes").status, 404);
+    let foreign = client.send("GET", "/metrics", &[("host", "evil.example")], None);
+    assert_eq!(foreign.status, 421, "a page whose name resolves to loopback reads nothing");
 }
 
 /// Writes a new certificate for `localhost` and its key.
@@ -278,8 +362,8 @@ fn tls_certificates_are_exchanged_without_dropping_connections() {
     hang_up(daemon.id());
     eventually("a complaint", || daemon.log().contains("cannot be used with"));
     assert!(healthy(&mut secured(daemon.address, &second)).unwrap());
-    let audit = std::fs::read_to_string(&audit).unwrap();
-    assert!(audit.contains("\"reload\"") && audit.contains("\"reload-refused\""), "{audit}");
+    let has = |event: &str| lines(&audit).iter().any(|line| line["event"] == event);
+    eventually("lines of both reloads", || has("reload") && has("reload-refused"));
     // Plain HTTP is not understood, and takes nothing down.
     let plain = read_to_close(&mut raw(daemon.address, b"GET / HTTP/1.1\r\n\r\n"));
     assert!(!plain.starts_with("HTTP/1.1 200"), "{plain}");
@@ -358,4 +442,76 @@ fn a_backup_of_root_and_state_is_restored_elsewhere() {
     assert_eq!(client.get("/v1/scenes/kept").json()["state"], "ready");
     assert_eq!(client.get("/v1/jobs/1").json()["state"], "done");
     assert_eq!(client.get("/v1/jobs/1/frames/0").body, frame);
+}
+
+/// Signs an address with the program.
+fn sign(secret: &Path, address: &str, more: &[&str]) -> String {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_pointillist"));
+    command.args(["sign", address, "--key", "ann", "--secret"]).arg(secret).args(more);
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap().trim().to_owned()
+}
+
+#[test]
+fn signed_addresses_work_without_a_key() {
+    let folder = tempfile::tempdir().unwrap();
+    let secret = folder.path().join("secret");
+    let hex = "0123456789abcdef".repeat(4);
+    std::fs::write(&secret, format!("{hex}\n")).unwrap();
+    let quota = "requests-per-second = 100";
+    let tables = |secret: &str| [table("ann", "write", &format!("{secret}{quota}"))];
+    let with_secret = format!("url-secret = \"{hex}\"\n");
+    let keys = key_file(folder.path(), &tables(&with_secret));
+    let daemon = Daemon::start(&["--api-keys", keys.to_str().unwrap()]);
+    let client = daemon.client();
+    let hour = ["--expires", "1h"];
+    let closed = sign(&secret, FRAME, &hour);
+    let by_key = send(&client, "ann", "GET", FRAME, None);
+    let by_address = client.get(&closed);
+    assert_eq!((by_address.status, &by_address.body), (200, &by_key.body));
+    assert_eq!(by_address.header("etag"), by_key.header("etag"));
+    for (changed, status) in [
+        (closed.replace("w=64", "w=65"), 401),
+        (closed.replace("grid", "grie"), 401),
+        (format!("{closed}&fov=30"), 401),
+        (closed.replace("/frame", "/pick"), 401),
+    ] {
+        assert_eq!(client.get(&changed).status, status, "{changed}");
+    }
+    let scene = sign(&secret, "/v1/scenes/grid", &hour);
+    assert_eq!(client.get(&scene).status, 200);
+    assert_eq!(client.send("DELETE", &scene, &[], None).status, 403);
+    // Limits of a frame hold whatever is added.
+    let open = [&hour[..], &["--open", "--max-pixels", "4096"]].concat();
+    let open = sign(&secret, "/v1/scenes/grid/frame", &open);
+    let status = |size: &str| client.get(&format!("{open}&{size}")).status;
+    assert_eq!((status("w=64&h=64"), status("w=64&h=65")), (200, 422));
+    let dear = ["--max-device-ms", "1"];
+    let dear = sign(&secret, "/v1/scenes/grid/frame?w=2048&h=2048", &[&hour[..], &dear].concat());
+    // The estimate follows what such frames took.
+    eventually("a frame that is too dear", || client.get(&dear).status == 422);
+    // Streams take poses, so that their address must be open.
+    let stream = |more: &[&str]| {
+        let address = sign(&secret, "/v1/scenes/grid/stream", &[&hour[..], more].concat());
+        Stream::connect(daemon.address, &address, &[])
+    };
+    assert_eq!(stream(&[]).err(), Some(403));
+    let mut stream = stream(&["--open", "--max-pixels", "4096"]).ok().unwrap();
+    let pose = |seq: u32, side: u32| serde_json::json!({"seq": seq, "camera": "front", "w": side, "h": side});
+    stream.send(pose(1, 65));
+    let problem = loop {
+        match stream.next() {
+            Came::Event(event) if event["event"] == "problem" => break event,
+            Came::Event(_) => {}
+            other => panic!("{other:?}"),
+        }
+    };
+    assert_eq!(problem["problem"]["type"], "urn:pointillist:problem:over-limit", "{problem}");
+    stream.send(pose(2, 64));
+    while !matches!(stream.next(), Came::Frame { .. }) {}
+    // An address ends with its secret.
+    std::fs::write(&keys, tables("").concat()).unwrap();
+    hang_up(daemon.id());
+    eventually("the end of the secret", || client.get(&closed).status == 401);
 }

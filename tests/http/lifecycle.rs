@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use pointillist::http::access::Access;
+use pointillist::http::access::{Access, Reread};
 use pointillist::http::{Edge, Settings, StreamLimits, UploadLimits, WatchLimits};
 
 use super::client::{raw, read_to_close};
@@ -153,7 +153,7 @@ pub fn settings(root: &Path) -> Settings {
         drain: Duration::from_secs(1),
         drain_delay: Duration::ZERO,
         uploads: true,
-        reread_access: None,
+        reread: Reread::default(),
         streams: StreamLimits { most: 4, most_per_client: 4, idle: Duration::from_secs(10) },
         watches: WatchLimits { most: 4, most_per_client: 4, longest: Duration::from_secs(10) },
         edge: Edge::default(),
@@ -185,4 +185,46 @@ fn a_server_that_can_never_draw_again_says_so() {
     super::daemon::eventually("the failure", || engine.readiness() == Readiness::Failed);
     assert_eq!((status("/healthz"), status("/readyz")), (503, 503));
     assert_eq!(status("/v1/scenes"), 200, "what needs no rendering");
+}
+
+/// A handler is dropped when its client goes away.
+#[test]
+fn changes_without_an_answer_are_in_the_audit_log() {
+    use pointillist::engine::{Engine, EngineConfig};
+    use pointillist::http::journal::Journal;
+    use pointillist::http::{App, Phase, router};
+    use tower::ServiceExt;
+
+    let folder = tempfile::tempdir().unwrap();
+    let audit = folder.path().join("audit.log");
+    let journal = std::sync::Arc::new(Journal::open(&audit).unwrap());
+    let edge = Edge { audit_log: Some(journal.clone()), ..Edge::default() };
+    let settings = Settings { edge, ..settings(folder.path()) };
+    let engine = Engine::start(EngineConfig::new(folder.path())).unwrap();
+    let app = App::new(engine, settings, Err("no jobs in this test".to_owned()));
+    app.set_phase(Phase::Serving);
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let wait = |origin: &str| {
+        // More of the body never comes.
+        let body = futures::stream::pending::<Result<bytes::Bytes, std::io::Error>>();
+        let request = axum::http::Request::post("/v1/scenes?id=half&name=a.ply")
+            .header("host", "localhost")
+            .header("origin", origin)
+            .body(axum::body::Body::from_stream(body))
+            .unwrap();
+        let answer = router(app.clone()).oneshot(request);
+        let patience = Duration::from_millis(200);
+        let ended = runtime.block_on(async { tokio::time::timeout(patience, answer).await });
+        assert!(ended.is_err(), "{origin}");
+    };
+    wait("http://localhost");
+    // This one is refused, and then waits for the rest of its body.
+    wait("https://evil.example");
+    assert!(journal.flush(Duration::from_secs(60)));
+    let text = std::fs::read_to_string(&audit).unwrap();
+    let lines: Vec<serde_json::Value> =
+        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(lines.len(), 1, "{text}");
+    assert_eq!((&lines[0]["event"], &lines[0]["method"]), (&"client-gone".into(), &"POST".into()));
+    assert!(lines[0]["status"].is_null(), "{text}");
 }

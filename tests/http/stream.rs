@@ -1,6 +1,7 @@
 //! Streams: poses in, frames out, over a WebSocket.
 
 use std::net::{SocketAddr, TcpStream};
+use std::process::Command;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
@@ -96,7 +97,7 @@ impl Stream {
         }
     }
 
-    fn next(&mut self) -> Came {
+    pub fn next(&mut self) -> Came {
         self.try_next().expect("nothing came")
     }
 
@@ -397,6 +398,15 @@ fn who_may_open_a_stream() {
     assert_eq!(open("pointillist"), Some(401));
     assert_eq!(open("pointillist, pointillist.key.wrong"), Some(401));
     assert_eq!(open("pointillist, pointillist.key.r-1"), None);
+    // A key that is removed keeps no stream.
+    let protocol = [("Sec-WebSocket-Protocol", "pointillist, pointillist.key.r-1")];
+    let mut stream = Stream::connect(keyed.address, GRID, &protocol).ok().unwrap();
+    std::fs::write(&keys, format!("other read {}\n", hash.replace('a', "b"))).unwrap();
+    let id = keyed.id().to_string();
+    assert!(Command::new("kill").args(["-HUP", &id]).status().unwrap().success());
+    eventually("the new keys", || open("pointillist, pointillist.key.r-1") == Some(401));
+    stream.send(json!({"ping": 1}));
+    assert_eq!(stream.closed(), 4403);
 }
 
 /// Four streams that always have a newer pose, each with its own key, and another client that keeps six plain requests waiting:

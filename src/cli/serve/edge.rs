@@ -8,7 +8,7 @@ use anyhow::{Context, ensure};
 
 use super::{ServeArgs, access, number};
 use crate::http::Edge;
-use crate::http::access::{Reread, Rules};
+use crate::http::access::{Reader, Reread};
 use crate::http::journal::Journal;
 use crate::http::{address, tls};
 
@@ -55,14 +55,20 @@ fn certificate(args: &ServeArgs) -> anyhow::Result<Option<tls::Tls>> {
 }
 
 /// Returns what a reload reads: keys and certificates, if there are any.
-pub(super) fn reread(args: &ServeArgs, address: SocketAddr) -> Option<Reread> {
-    if args.api_keys.is_none() && args.tls_cert.is_none() {
-        return None;
+pub(super) fn reread(args: &ServeArgs, address: SocketAddr) -> Reread {
+    fn reader<T>(read: impl Fn() -> anyhow::Result<T> + Send + Sync + 'static) -> Reader<T> {
+        Reader(Arc::new(move || read().map_err(|error| format!("{error:#}"))))
     }
-    let args = args.clone();
-    let read =
-        move || anyhow::Ok(Rules { access: access(&args, address)?, tls: certificate(&args)? });
-    Some(Reread(Arc::new(move || read().map_err(|error| format!("{error:#}")))))
+    Reread {
+        access: args.api_keys.as_ref().map(|_| {
+            let args = args.clone();
+            reader(move || access(&args, address))
+        }),
+        tls: args.tls_cert.as_ref().map(|_| {
+            let args = args.clone();
+            reader(move || certificate(&args)?.context("--tls-cert"))
+        }),
+    }
 }
 
 /// Returns the first socket that systemd passes to this process (socket activation).

@@ -85,7 +85,7 @@ impl Class {
 
 impl Client {
     /// Returns the caller with whom it shares the device.
-    fn owner(self) -> Option<u64> {
+    pub fn owner(self) -> Option<u64> {
         match self {
             Client::Stream { of, .. } | Client::Caller(of) => Some(of),
             Client::Unnamed | Client::Job(_) => None,

@@ -46,7 +46,8 @@ fn drawings_of_different_settings_differ() {
         };
         let mut needed = Given::default();
         for rule in &setting.needs {
-            let any = if rule.of == Settings::LENS { "1" } else { "0,0,0,1,1,1" };
+            let is_number = [Settings::LENS, Settings::EYE].contains(&rule.of);
+            let any = if is_number { "1" } else { "0,0,0,1,1,1" };
             needed.set_text(rule.of, rule.is.first().copied().unwrap_or(any)).unwrap();
         }
         if setting.useful_with.iter().any(|rule| rule.of == "blur") {

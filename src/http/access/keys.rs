@@ -10,6 +10,7 @@ use serde::Deserialize;
 use toml::Spanned;
 use toml::value::{Datetime, Offset};
 
+use super::signed;
 use super::{ApiKey, Quotas, Scope};
 
 /// Reads the keys of a file, whose form follows from its name.
@@ -31,6 +32,7 @@ fn scope(word: &str) -> Result<Scope, &'static str> {
 }
 
 const BAD_HASH: &str = "the hash must be 64 hexadecimal digits (sha256sum of the key)";
+const HASH_TAKEN: &str = "another key has the same hash; give each holder a key of their own";
 const NAME_TAKEN: &str = "the name is already used by another key";
 
 fn all(keys: Vec<ApiKey>) -> Result<Vec<ApiKey>, String> {
@@ -55,8 +57,11 @@ fn parse_lines(text: &str) -> Result<Vec<ApiKey>, String> {
         if keys.iter().any(|key| key.name == name) {
             return Err(fail(NAME_TAKEN));
         }
+        if keys.iter().any(|key| key.hash == hash) {
+            return Err(fail(HASH_TAKEN));
+        }
         let (name, quotas) = (name.to_owned(), Quotas::default());
-        keys.push(ApiKey { name, scope, expires: None, quotas, hash });
+        keys.push(ApiKey { name, scope, expires: None, quotas, url_secret: None, hash });
     }
     all(keys)
 }
@@ -81,6 +86,7 @@ struct KeyTable {
     device_ms_per_minute: Option<Spanned<u64>>,
     streams: Option<usize>,
     requests_per_second: Option<Spanned<f64>>,
+    url_secret: Option<Spanned<String>>,
 }
 
 fn parse_tables(text: &str) -> Result<Vec<ApiKey>, String> {
@@ -109,6 +115,9 @@ fn parse_tables(text: &str) -> Result<Vec<ApiKey>, String> {
         let scope = scope(word).map_err(|what| fail(at, what))?;
         let (at, hex) = (table.hash.span().start, table.hash.get_ref());
         let hash = parse_hash(hex).ok_or_else(|| fail(at, BAD_HASH))?;
+        if keys.iter().any(|key| key.hash == hash) {
+            return Err(fail(at, HASH_TAKEN));
+        }
         let expires = table.expires.map(|time| {
             let what =
                 "`expires` must be a date, or a time with an offset, as in 2030-01-31T12:00:00Z";
@@ -131,13 +140,24 @@ fn parse_tables(text: &str) -> Result<Vec<ApiKey>, String> {
             streams: table.streams,
             requests_per_second: rate.transpose()?,
         };
-        keys.push(ApiKey { scope, expires: expires.transpose()?, quotas, hash, name });
+        let url_secret = table.url_secret.map(|hex| {
+            let at = hex.span().start;
+            if !signed::is_plain(&name) {
+                let what =
+                    "a key with `url-secret` needs an id of letters, digits, `-`, `.` and `_`";
+                return Err(fail(at, what));
+            }
+            let what = "`url-secret` must be at least 64 hexadecimal digits (openssl rand -hex 32)";
+            signed::Secret::from_hex(hex.get_ref()).ok_or_else(|| fail(at, what))
+        });
+        let (expires, url_secret) = (expires.transpose()?, url_secret.transpose()?);
+        keys.push(ApiKey { scope, expires, quotas, url_secret, hash, name });
     }
     all(keys)
 }
 
 /// Returns the instant of a date (at its beginning, UTC) or of a time with an offset.
-fn instant(time: &Datetime) -> Option<SystemTime> {
+pub fn instant(time: &Datetime) -> Option<SystemTime> {
     let date = time.date?;
     // Days from 1970-01-01 in the proleptic Gregorian calendar, by years that begin in March.
     let (month, day) = (i64::from(date.month), i64::from(date.day));
@@ -183,12 +203,14 @@ mod tests {
 
     const HASH: &str = "0123456789abcdef0123456789abcdef0123456789abcdef0123456789abcdef";
 
+    const OTHER_HASH: &str = "1123456789abcdef0123456789abcdef0123456789abcdef0123456789abcdef";
+
     #[test]
     fn a_table_has_limits() {
         let text = format!(
             "[[key]]\nid = \"studio\"\nscope = \"write\"\nhash = \"{HASH}\"\nexpires = 2000-03-01T01:00:00+01:00\n\
              scenes = 3\nupload-mib = 2\ndevice-ms-per-minute = 500\nstreams = 4\nrequests-per-second = 2.5\n\
-             [[key]]\nid = \"eye\"\nscope = \"read\"\nhash = \"{HASH}\"\n"
+             [[key]]\nid = \"eye\"\nscope = \"read\"\nhash = \"{OTHER_HASH}\"\n"
         );
         let keys = tables(&text).unwrap();
         let first = &keys[0];
@@ -216,11 +238,17 @@ mod tests {
         for (rest, line, word) in [
             ("requests-per-second = 0.0", "line 6", "0.01"),
             ("device-ms-per-minute = 0", "line 6", "60000"),
+            ("url-secret = \"abc\"", "line 6", "64"),
             ("expires = 10:00:00", "line 6", "expires"),
             ("expires = 2030-01-01T10:00:00", "line 6", "offset"),
             ("[[key]]\nid = \"a\"\nscope = \"read\"\nhash = \"x\"", "line 7", "already used"),
             ("[[key]]\nid = \"b\"\nscope = \"red\"\nhash = \"x\"", "line 8", "`b`"),
             ("[[key]]\nid = \"b\"\nscope = \"read\"\nhash = \"x\"", "line 9", "64"),
+            (
+                &format!("[[key]]\nid = \"b\"\nscope = \"read\"\nhash = \"{HASH}\""),
+                "line 9",
+                "same hash",
+            ),
             ("[[key]]\nid = \"b c\"\nscope = \"read\"\nhash = \"x\"", "line 7", "spaces"),
         ] {
             let found = fault(&key(rest));

@@ -23,7 +23,10 @@ fn scopes_are_enforced() {
     let text = format!("# keys\n{}{}", line("eye", "read", "r"), line("hand", "write", "w"));
     let access = Access::Keys(parse_keys(&text).unwrap());
     let status = |method: &Method, route, headers: &HeaderMap| {
-        access.check(method, &Uri::default(), route, headers).err().map(|p| p.status())
+        access
+            .check(method, &Uri::default(), route, headers)
+            .err()
+            .map(|refused| refused.problem.status())
     };
     let frame = "/v1/scenes/{id}/frame";
     assert_eq!(status(&Method::GET, frame, &bearer("r")), None);
@@ -48,12 +51,12 @@ fn pages_send_their_key_as_a_subprotocol_of_streams_only() {
     let offered = HeaderValue::from_static("pointillist, pointillist.key.r-1");
     headers.insert(header::SEC_WEBSOCKET_PROTOCOL, offered);
     let check = |route| access.check(&Method::GET, &Uri::default(), route, &headers);
-    assert_eq!(check(STREAM).unwrap().map(|key| key.name.as_str()), Some("eye"));
-    assert_eq!(check("/v1/scenes").unwrap_err().status(), 401);
+    assert_eq!(check(STREAM).unwrap().map(|admitted| admitted.key.name.as_str()), Some("eye"));
+    assert_eq!(check("/v1/scenes").unwrap_err().problem.status(), 401);
     let wrong = HeaderValue::from_static("pointillist.key.r-2");
     headers.insert(header::SEC_WEBSOCKET_PROTOCOL, wrong);
     let refused = access.check(&Method::GET, &Uri::default(), STREAM, &headers);
-    assert_eq!(refused.unwrap_err().status(), 401);
+    assert_eq!(refused.unwrap_err().problem.status(), 401);
 }
 
 #[test]
@@ -116,7 +119,7 @@ fn on_loopback_only_loopback_names_are_answered() {
             headers.append(header::HOST, HeaderValue::from_static(host));
         }
         let result = access.check(&Method::GET, &Uri::from_static(uri), "/healthz", &headers);
-        result.err().map(|problem| problem.status())
+        result.err().map(|refused| refused.problem.status())
     };
     for host in ["localhost", "LocalHost:8080", "127.0.0.1:1", "127.9.9.9", "[::1]", "[::1]:80"] {
         assert_eq!(check(true, "/healthz", &[host]), None, "{host}");
@@ -142,4 +145,32 @@ fn on_loopback_only_loopback_names_are_answered() {
     assert_eq!(check(true, "/healthz", &["localhost", "evil.example"]), Some(421));
     assert_eq!(check(true, "http://localhost:80/healthz", &[]), None);
     assert_eq!(check(true, "http://evil.example/healthz", &["localhost"]), Some(421));
+}
+
+#[test]
+fn signed_addresses_read_and_nothing_else() {
+    let hex = "5".repeat(64);
+    let hash = "6".repeat(64);
+    let text = format!(
+        "[[key]]\nid = \"boss\"\nscope = \"admin\"\nhash = \"{hash}\"\nurl-secret = \"{hex}\"\n"
+    );
+    let keys = keys::read(std::path::Path::new("keys.toml"), &text).unwrap();
+    let access = Access::Keys(keys);
+    let secret = signed::Secret::from_hex(&hex).unwrap();
+    let status = |method: &Method, route: &str, path: &str, until: u64, is_open: bool| {
+        let key = "boss".to_owned();
+        let terms = signed::Terms { key, until, pixels: Some(5), device_ms: None, is_open };
+        let query = signed::sign(path, "", &terms, &secret);
+        let uri: Uri = format!("{path}?{query}").parse().unwrap();
+        let checked = access.check(method, &uri, route, &HeaderMap::new());
+        checked.map(|admitted| admitted.unwrap().caps.pixels).map_err(|r| r.problem.status())
+    };
+    let (frame, path) = ("/v1/scenes/{id}/frame", "/v1/scenes/a/frame");
+    let later = 4_000_000_000;
+    assert_eq!(status(&Method::GET, frame, path, later, false), Ok(Some(5)));
+    assert_eq!(status(&Method::GET, frame, path, 1_000_000_000, false), Err(401));
+    assert_eq!(status(&Method::GET, frame, path, u64::MAX, false), Err(401), "no such time");
+    assert_eq!(status(&Method::DELETE, "/v1/scenes/{id}", "/v1/scenes/a", later, false), Err(403));
+    assert_eq!(status(&Method::GET, STREAM, "/v1/scenes/a/stream", later, false), Err(403));
+    assert_eq!(status(&Method::GET, STREAM, "/v1/scenes/a/stream", later, true), Ok(Some(5)));
 }

@@ -48,7 +48,7 @@ const RETRY: Duration = Duration::from_secs(2);
 )]
 pub async fn events(
     State(app): State<Arc<App>>,
-    Extension(Caller(client)): Extension<Caller>,
+    Extension(Caller(client, _)): Extension<Caller>,
     Extension(owner): Extension<Owner>,
     Segments(id): Segments<String>,
     uri: Uri,

@@ -233,7 +233,7 @@ pub async fn manifest(
 )]
 pub async fn multipart(
     State(app): State<Arc<App>>,
-    Extension(Caller(client)): Extension<Caller>,
+    Extension(Caller(client, _)): Extension<Caller>,
     Extension(owner): Extension<Owner>,
     Segments(id): Segments<String>,
     method: Method,

@@ -81,7 +81,7 @@ pub struct ScreeningParams {
 )]
 pub async fn mjpeg(
     State(app): State<Arc<App>>,
-    Extension(Caller(client)): Extension<Caller>,
+    Extension(Caller(client, caps)): Extension<Caller>,
     Extension(request_id): Extension<RequestId>,
     Segments(id): Segments<String>,
     method: Method,
@@ -92,7 +92,7 @@ pub async fn mjpeg(
     let mark = app.engine.scene_mark(&id);
     let show = wanted.show(&app, &request).map_err(|problem| missing(&app, &id, problem))?;
     let mut playback =
-        Playback::new(app.clone(), Origin { client, request_id }, request, show, mark)?;
+        Playback::new(app.clone(), Origin { client, request_id }, caps, request, show, mark)?;
     // The first frame is drawn here, so that errors are reported before the first byte.
     let first = match method {
         Method::HEAD => None,

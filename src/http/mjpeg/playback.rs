@@ -12,7 +12,9 @@ use crate::engine::{
     RequestId, Resolution, SceneMark,
 };
 use crate::http::App;
+use crate::http::access::signed::Caps;
 use crate::http::frame::{resolve, wait};
+use crate::http::limits::Standing;
 use crate::http::problem::{Kind, Problem};
 use crate::http::stream::Place;
 use crate::scene::PathSampler;
@@ -41,6 +43,7 @@ pub struct Playback {
     /// Name of the request; the names of the frames derive from it.
     name: RequestId,
     client: Client,
+    caps: Caps,
     request: FrameRequest,
     show: Show,
     mark: Option<SceneMark>,
@@ -68,6 +71,7 @@ impl Playback {
     pub fn new(
         app: Arc<App>,
         origin: Origin,
+        caps: Caps,
         request: FrameRequest,
         show: Show,
         mark: Option<SceneMark>,
@@ -83,6 +87,7 @@ impl Playback {
             slot: app.engine.latest_slot(origin.client),
             name: origin.request_id,
             client: origin.client,
+            caps,
             request,
             show,
             mark,
@@ -100,6 +105,7 @@ impl Playback {
     pub async fn first(&mut self) -> Result<Arc<EncodedFrame>, Problem> {
         let request = self.wanted(0);
         let frame = resolve(&self.app, request).await?;
+        self.app.check_caps(&self.caps, &frame)?;
         let ticket = self.slot.ask(self.name_of(0), frame)?;
         let frame = wait(&self.app, ticket, None).await?;
         self.began = Instant::now();
@@ -134,16 +140,18 @@ impl Playback {
     }
 
     fn sent(&mut self, frame: &Arc<EncodedFrame>) {
-        self.app.sent(self.client, frame);
+        self.app.metrics.frame(frame);
         self.app.metrics.stream_frames.inc();
         self.last = Some(frame.clone());
     }
 
     /// Returns the next frame when it is due.
     pub async fn next(&mut self) -> Option<Arc<EncodedFrame>> {
-        if let Some(wait) = self.app.device_wait(self.client, Instant::now()) {
+        match self.app.standing(self.client, &self.caps) {
+            Standing::Good => {}
             // A film whose key has no GPU time left stands still until it has.
-            self.pause(self.began.elapsed() + wait).await.ok()?;
+            Standing::Spent(wait) => self.pause(self.began.elapsed() + wait).await.ok()?,
+            Standing::Gone => return None,
         }
         let result = match self.show {
             Show::Path { timeline, .. } => self.next_of_path(timeline).await,
@@ -278,6 +286,9 @@ impl Playback {
                     continue;
                 }
             };
+            if self.app.check_caps(&self.caps, &frame).is_err() {
+                return Err(End::Over);
+            }
             match self.slot.ask(self.name_of(tick), frame) {
                 Ok(ticket) => return Ok(ticket),
                 Err(error) => self.recover(error).await?,

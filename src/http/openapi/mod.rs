@@ -220,7 +220,9 @@ impl Modify for Keys {
         let mut http = Http::new(HttpAuthScheme::Bearer);
         http.description = Some(
             "An API key, where the server asks for one: not on loopback by default, where only requests \
-             to `localhost` and loopback addresses are answered"
+             to `localhost` and loopback addresses are answered. `GET` works without a key at an address that \
+             `pointillist sign` has signed; its query ends with `signed_by`, `signed_until`, `signed_pixels`, \
+             `signed_ms`, `signed_open` and `signature`"
                 .to_owned(),
         );
         let components = openapi.components.get_or_insert_with(Default::default);

@@ -70,7 +70,7 @@ const QUERY_NAMES: Names = Names { own: &[], without: WITHOUT };
 ///
 /// **It closes** with 1001 (the server stops), 1002 (a frame violates the WebSocket protocol), 1003 (a binary message), 1007 (a text is not UTF-8), 1008
 /// (more than `max_stream_messages_per_second`, for longer than a burst of four times as many), 1009 (a message over `max_stream_message_bytes`), 1011 (the server can
-/// no longer draw), 4404 (the scene was deleted), 4408 (nothing received for `stream_idle_ms`) or 4429 (too many streams).
+/// no longer draw), 4403 (the key was removed or has expired), 4404 (the scene was deleted), 4408 (nothing received for `stream_idle_ms`) or 4429 (too many streams).
 ///
 /// Pages cannot set headers on a WebSocket: their key may come as a subprotocol, `new WebSocket(url, ["pointillist",
 /// "pointillist.key.KEY"])`. Without keys, pages of other origins than the server's and those of `--cors-origin` are refused.
@@ -84,7 +84,7 @@ const QUERY_NAMES: Names = Names { own: &[], without: WITHOUT };
 )]
 pub async fn stream(
     State(app): State<Arc<App>>,
-    Extension(Caller(client)): Extension<Caller>,
+    Extension(Caller(client, caps)): Extension<Caller>,
     Extension(request_id): Extension<RequestId>,
     Segments(id): Segments<String>,
     uri: Uri,
@@ -109,7 +109,8 @@ pub async fn stream(
             return send_queue::refuse(socket, Close::TooMany).await;
         };
         let span = tracing::debug_span!("stream", connection = %request_id, scene = id);
-        let session = Session::start(app, id, request_id.clone(), client, socket).run(first, place);
+        let session = Session::start(app, id, request_id.clone(), Caller(client, caps), socket)
+            .run(first, place);
         naming::within(request_id, session.instrument(span)).await;
     }))
 }

@@ -20,9 +20,11 @@ use crate::engine::{
     BakeTicket, Client, EncodedFrame, EngineError, FrameTicket, LatestSlot, RequestId, Resolution,
     ResolvedFrame, SceneMark,
 };
-use crate::http::App;
+use crate::http::access::signed::Caps;
+use crate::http::limits::Standing;
 use crate::http::params::FrameParams;
 use crate::http::problem::{Kind, Problem};
+use crate::http::{App, Caller};
 
 /// Largest number of outstanding frames: one being drawn, one waiting.
 const MOST_ASKED: usize = 2;
@@ -35,6 +37,7 @@ pub struct Session {
     /// Name of the connection.
     name: RequestId,
     client: Client,
+    caps: Caps,
     mark: Option<SceneMark>,
     source: SplitStream<WebSocket>,
     send_queue: SendQueue,
@@ -97,7 +100,7 @@ impl Session {
         app: Arc<App>,
         id: String,
         name: RequestId,
-        client: Client,
+        Caller(client, caps): Caller,
         socket: WebSocket,
     ) -> Self {
         let (sink, source) = socket.split();
@@ -124,6 +127,7 @@ impl Session {
             id,
             name,
             client,
+            caps,
         }
     }
 
@@ -345,11 +349,15 @@ impl Session {
     /// Requests the wanted frame if there is room, in place of a request that still waits.
     fn ask(&mut self) -> Result<(), End> {
         let now = Instant::now();
+        let standing = self.app.standing(self.client, &self.caps);
+        if standing == Standing::Gone {
+            return Err(End::Close(Close::NotAllowed));
+        }
         if self.baking.is_some() || self.retry_at.is_some_and(|at| at > now) {
             return Ok(());
         }
         let Some((seq, params, quality)) = self.schedule.wanted(now) else { return Ok(()) };
-        if let Some(wait) = self.app.device_wait(self.client, now) {
+        if let Standing::Spent(wait) = standing {
             self.retry_at = Some(now + wait);
             return Ok(());
         }
@@ -376,6 +384,10 @@ impl Session {
             Ok(None) => return Ok(()),
             Err(error) => return self.failed(Some(seq), error),
         };
+        if let Err(problem) = self.app.check_caps(&self.caps, &frame) {
+            self.schedule.give_up();
+            return self.tell(&Event::Problem { seq: Some(seq), problem });
+        }
         let made = Made::of(&frame.request);
         let ticket = match self.place(frame) {
             Ok(Some(ticket)) => ticket,
@@ -456,7 +468,7 @@ impl Session {
             self.push(Message::Ping(axum::body::Bytes::new()))?;
         }
         self.pacer.sent(self.frames, frame.bytes.len() as u64, now, share);
-        self.app.sent(self.client, &frame);
+        self.app.metrics.frame(&frame);
         self.app.metrics.stream_frames.inc();
         self.push(message)
     }

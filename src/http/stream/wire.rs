@@ -43,6 +43,8 @@ pub enum Close {
     TooLarge,
     /// The server can no longer draw.
     Failed,
+    /// The client's key was removed, or has expired.
+    NotAllowed,
     /// The scene was deleted.
     Deleted,
     /// Nothing came from the client for too long.
@@ -53,7 +55,7 @@ pub enum Close {
 
 impl Close {
     #[cfg(test)]
-    pub const ALL: [Close; 10] = [
+    pub const ALL: [Close; 11] = [
         Close::GoingAway,
         Close::BrokenProtocol,
         Close::NotText,
@@ -61,6 +63,7 @@ impl Close {
         Close::Flood,
         Close::TooLarge,
         Close::Failed,
+        Close::NotAllowed,
         Close::Deleted,
         Close::Idle,
         Close::TooMany,
@@ -81,6 +84,7 @@ impl Close {
                 (1009, "the message is too large; see max_stream_message_bytes of GET /v1/limits")
             }
             Close::Failed => (1011, "the server can no longer draw"),
+            Close::NotAllowed => (4403, "the API key was removed or has expired"),
             Close::Deleted => (4404, "the scene was deleted"),
             Close::Idle => {
                 (4408, "the client sent nothing for too long; see stream_idle_ms of GET /v1/limits")

@@ -93,6 +93,8 @@ numbers! {
     LensDiameter: 0.0 to 1e9 "scene units", 0.0;
     /// Distance along the viewing axis, in scene units.
     ViewDistance: 1e-9 to 1e9 "scene units", 1.0;
+    /// Shift to the right, in scene units.
+    Shift: -1e9 to 1e9 "scene units", 0.0;
     /// Share of the time between two frames.
     OpenShare: 0.0 to 1.0 "", 0.0;
     /// GPU time of a frame, in milliseconds.
@@ -160,7 +162,7 @@ macro_rules! switched {
 
         impl From<f64> for $name {
             fn from(value: f64) -> Self {
-                $name((value > 0.0).then(|| value.into()))
+                $name((value != 0.0).then(|| value.into()))
             }
         }
     )+};
@@ -169,6 +171,8 @@ macro_rules! switched {
 switched! {
     /// Diameter of the lens. Without one, the camera is a pinhole.
     Aperture of LensDiameter;
+    /// Shift of the eye to the right, of one image of a stereo pair.
+    EyeOffset of Shift;
     /// Share of the time between two frames for which the shutter is open. Without one, a frame shows an instant.
     Shutter of OpenShare;
 }

@@ -1,0 +1,68 @@
+//! What clients are charged for the device time of their frames: estimates when frames are taken, and measured times at the end.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use super::Engine;
+use super::frame_job::FrameJob;
+use super::queue::Client;
+use super::resolved::ResolvedFrame;
+use super::state::{EngineState, Schedule};
+
+impl EngineState {
+    /// A job that was taken has had nothing of the device.
+    pub fn refund(&self, job: &FrameJob) {
+        if let Some((client, charged_ns)) = job.settle() {
+            self.schedule.lock().queue.settle(client, charged_ns, 0);
+        }
+    }
+
+    /// Puts right what clients were charged for jobs that are under way no more, by the device time that each took, and folds
+    /// in that their submission `took` so long.
+    pub fn settle(&self, jobs: &[(Arc<FrameJob>, Option<u64>)], took: Duration) {
+        let mut schedule = self.schedule.lock();
+        let Schedule { queue, costs, .. } = &mut *schedule;
+        let mut cost_ns = 0;
+        let now = Instant::now();
+        for (job, measured_ns) in jobs {
+            let Some((client, charged_ns)) = job.settle() else { continue };
+            queue.landed(client, now);
+            let measured_ns = *measured_ns;
+            queue.settle(client, charged_ns, measured_ns.unwrap_or(charged_ns));
+            if let Some(ns) = measured_ns {
+                self.tell_spent(client, Duration::from_nanos(ns));
+            }
+            cost_ns += measured_ns.unwrap_or(charged_ns);
+            if let Some(ns) = measured_ns {
+                costs.measured(job.frame.cost_key, ns);
+            }
+        }
+        costs.landed(cost_ns, took);
+    }
+
+    /// Charges the client of a frame that was ended before it was done for the time that it took until then.
+    pub fn settle_given_up(&self, job: &FrameJob, took: Duration) {
+        self.stats.given_up.fetch_add(1, Ordering::Relaxed);
+        let Some((client, charged_ns)) = job.settle() else { return };
+        let mut schedule = self.schedule.lock();
+        schedule.queue.landed(client, Instant::now());
+        schedule.queue.settle(client, charged_ns, took.as_nanos() as u64);
+        self.tell_spent(client, took);
+    }
+
+    /// Tells the observer of device time that a caller's frame has taken.
+    fn tell_spent(&self, client: Client, device: Duration) {
+        if let (Some(observer), Some(caller)) = (self.observer.get(), client.owner()) {
+            observer.spent(caller, device);
+        }
+    }
+}
+
+impl Engine {
+    /// Returns the GPU time that a frame is estimated to take, from earlier frames of its kind.
+    pub fn estimated_cost(&self, frame: &ResolvedFrame) -> Duration {
+        let schedule = self.state().schedule.lock();
+        Duration::from_nanos(schedule.costs.estimate_ns(frame.cost_key))
+    }
+}
