@@ -82,6 +82,7 @@ pub use openapi::{openapi_json, openapi_yaml};
 pub use params::{DEFAULT_FOV_DEG, DEFAULT_QUALITY, DEFAULT_SIDE};
 pub use problem::Problem;
 pub use stream::StreamLimits;
+pub use upload::follow::Uploads;
 pub use upload::quota::UploadLimits;
 
 use self::access::{Quotas, Rules};
@@ -112,7 +113,7 @@ pub struct Settings {
     /// Time for which a stopping server goes on serving while `/readyz` already says no.
     pub drain_delay: Duration,
     /// Whether clients may add scenes.
-    pub uploads: bool,
+    pub uploads: Uploads,
     /// Reads the rules again; `None` where there is nothing to read.
     pub reread_access: Option<access::Reread>,
     pub streams: stream::StreamLimits,
@@ -278,6 +279,7 @@ impl App {
     pub fn set_phase(&self, phase: Phase) {
         // Phases only go forward: a scene that finishes loading does not undo a drain.
         self.phase.fetch_max(phase as u8, Ordering::Relaxed);
+        self.metrics.entered(self.phase());
         if phase == Phase::Draining {
             self.streams.drain();
             self.surveys.close();
