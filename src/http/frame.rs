@@ -176,10 +176,11 @@ pub fn missing(app: &App, id: &str, problem: Problem) -> Problem {
                 .retry_after(Duration::from_secs(1))
         }
         Some(super::registry::Entry::Failed { problem, .. }) => problem,
-        None if super::upload::follow::is_coming(app, id) => {
-            Problem::new(Kind::SceneLoading, format!("scene `{id}` was uploaded and is not loaded yet"))
-                .retry_after(Duration::from_secs(1))
-        }
+        None if super::upload::follow::is_coming(app, id) => Problem::new(
+            Kind::SceneLoading,
+            format!("scene `{id}` was uploaded and is not loaded yet"),
+        )
+        .retry_after(Duration::from_secs(1)),
         None => problem,
     }
 }

@@ -170,7 +170,8 @@ impl Metrics {
         let mut shelf = Shelf(Registry::with_prefix("pointillist"));
         let requests = Family::default();
         let requests = shelf.put("http_requests", "Answers by route, method and status", requests);
-        let help = "1 for the server's phase (loading, serving, leaving or draining), 0 for the others";
+        let help =
+            "1 for the server's phase (loading, serving, leaving or draining), 0 for the others";
         let phases = shelf.put("phase", help, Family::default());
         let mut counter = |name, help| shelf.put(name, help, Counter::default());
         let not_modified = counter("not_modified", "Frames answered 304 without rendering");

@@ -26,8 +26,8 @@ use tokio::task::JoinHandle;
 use super::connection::{Doorkeeper, PROBES};
 use super::problem::Problem;
 use super::registry::Reservation;
-use super::upload::store::Earlier;
 use super::upload::follow::{self, Followed};
+use super::upload::store::Earlier;
 use super::{App, Phase, Uploads, refusal, router, upload};
 use crate::engine::{Engine, Readiness, Source};
 

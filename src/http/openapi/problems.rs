@@ -32,7 +32,9 @@ pub fn of_operation(path: &str, method: &str) -> Vec<Kind> {
         ("/v1/scenes/{id}/frame", _) => {
             &[&[UnknownScene, SceneLoading, NotReady, NotAcceptable], SETTINGS, LOADED, QUEUED]
         }
-        ("/v1/scenes/{id}/frames", _) => &[&[UnknownScene, SceneLoading, NotReady], BODY, SETTINGS, LOADED],
+        ("/v1/scenes/{id}/frames", _) => {
+            &[&[UnknownScene, SceneLoading, NotReady], BODY, SETTINGS, LOADED]
+        }
         ("/v1/scenes/{id}/compare", _) => {
             &[&[UnknownScene, SceneLoading, NotReady, SceneChanged], BODY, SETTINGS, LOADED, QUEUED]
         }
@@ -58,7 +60,9 @@ pub fn of_operation(path: &str, method: &str) -> Vec<Kind> {
             SETTINGS,
             LOADED,
         ],
-        ("/v1/scenes/{id}/paths/{name}", _) => &[&[UnknownScene, UnknownPath, SceneLoading, NotReady]],
+        ("/v1/scenes/{id}/paths/{name}", _) => {
+            &[&[UnknownScene, UnknownPath, SceneLoading, NotReady]]
+        }
         ("/viewer/{file}", _) => &[&[UnknownRoute]],
         ("/v1/scenes", "post") => &[
             &[UploadsOff, SceneExists, SceneTooLarge, UnsupportedAsset, BadParameter],

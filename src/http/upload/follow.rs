@@ -193,7 +193,8 @@ pub fn refuse_removal(app: &App, id: &str) -> Result<(), Problem> {
         return Ok(());
     }
     let detail = format!("scene `{id}` is an upload that another server keeps (--follow-uploads)");
-    Err(Problem::new(Kind::UploadsOff, detail).accepted("DELETE at the server that keeps the uploads"))
+    Err(Problem::new(Kind::UploadsOff, detail)
+        .accepted("DELETE at the server that keeps the uploads"))
 }
 
 /// Repeats the keeper's changes until the server drains. Loads one upload at a time, because each may need most of the memory.
