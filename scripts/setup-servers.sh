@@ -47,7 +47,7 @@ own_lists() {
 # The shared libraries that a package needs and this machine lacks.
 libraries_of() { # PACKAGE
     local library
-    for library in $(apt-cache "${apt[@]}" depends "$1" | sed -nE 's/^ *\|?Depends: (lib[^ ]+)$/\1/p' | grep -v '^libjs-'); do
+    for library in $(apt-cache "${apt[@]}" depends "$1" 2>/dev/null | sed -nE 's/^ *\|?Depends: (lib[^ ]+)$/\1/p' | grep -v '^libjs-'); do
         installed "$library" && continue
         echo "$library"
         libraries_of "$library"

@@ -1,4 +1,4 @@
-//! The alert rules and the dashboard in `deploy/` name metrics that the server has.
+//! The alert rules, the dashboard and the autoscaler in `deploy/` name metrics that the server has.
 
 use std::collections::BTreeSet;
 
@@ -19,12 +19,14 @@ fn rules_and_dashboard_name_metrics_that_exist() {
     let client = daemon.client();
     assert_eq!(client.get("/v1/scenes/grid/frame?w=8&h=8").status, 200);
     let served = names(&client.get("/metrics").text());
-    for (file, text) in [
-        ("prometheus-rules.yaml", include_str!("../../deploy/prometheus-rules.yaml")),
-        ("grafana-dashboard.json", include_str!("../../deploy/grafana-dashboard.json")),
+    for (file, text, least) in [
+        ("prometheus-rules.yaml", include_str!("../../deploy/prometheus-rules.yaml"), 10),
+        ("prometheus-rules-test.yaml", include_str!("../../deploy/prometheus-rules-test.yaml"), 10),
+        ("grafana-dashboard.json", include_str!("../../deploy/grafana-dashboard.json"), 10),
+        ("autoscaler.yaml", include_str!("../../deploy/kubernetes/autoscaler.yaml"), 1),
     ] {
         let named = names(text);
-        assert!(named.len() > 5, "{file}: {named:?}");
+        assert!(named.len() >= least, "{file}: {named:?}");
         let missing: Vec<_> = named.difference(&served).collect();
         assert!(missing.is_empty(), "{file} names metrics that /metrics lacks: {missing:?}");
     }
