@@ -4,7 +4,7 @@
 
 Starts one daemon and HAProxy with deploy/haproxy.cfg on free ports, and sends the same requests to both addresses in turns, over
 kept-alive connections. The order within a pair is random. Prints a line of medians and percentiles for each kind of request.
-Exit status 1 if HAProxy adds 1 ms or more in the median.
+Exit status 1 if HAProxy adds 1 ms or more in the median. Frames that are drawn are not judged: their own times vary by more.
 """
 
 import http.client
@@ -94,14 +94,15 @@ def main():
             tag = answer.headers["ETag"]
             size = len(answer.read())
             kinds = [
-                ("limits", "/v1/limits", {}, pairs),
-                ("304 of a frame", frame, {"If-None-Match": tag}, pairs),
-                (f"256 x 256 PNG, {size} bytes", frame, {}, max(pairs // 5, 50)),
+                ("limits", "/v1/limits", {}, pairs, True),
+                ("304 of a frame", frame, {"If-None-Match": tag}, pairs, True),
+                ("contract", "/openapi.yaml", {}, pairs, True),
+                (f"256 x 256 PNG, {size} bytes", frame, {}, max(pairs // 5, 50), False),
             ]
             failed = False
             print("| request | pairs | direct, median ms | HAProxy, median ms | median of differences, ms | 95th percentile, ms |")
             print("|---|---|---|---|---|---|")
-            for name, address, headers, count in kinds:
+            for name, address, headers, count, is_judged in kinds:
                 for connection in connections:
                     for _ in range(20):
                         timed(connection, address, headers)
@@ -112,7 +113,7 @@ def main():
                         times[side].append(timed(connections[side], address, headers))
                 added = [behind - before for before, behind in zip(*times)]
                 median = statistics.median(added)
-                failed |= median >= LIMIT_MS
+                failed |= is_judged and median >= LIMIT_MS
                 print(
                     f"| {name} | {count} | {statistics.median(times[0]):.3f} | {statistics.median(times[1]):.3f}"
                     f" | {median:.3f} | {percentile(added, 0.95):.3f} |"
