@@ -7,6 +7,8 @@ set -uo pipefail
 
 cd "$(dirname "${BASH_SOURCE[0]}")/.." || exit 1
 binary=${1:-}
+# Programs that scripts/setup-servers.sh unpacked.
+PATH=$PWD/target/servers/bin:$PATH:/usr/sbin
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 faults=0
@@ -54,7 +56,7 @@ checked "Dockerfile (own rules)" dockerfile_rules
 # --- YAML
 yaml_parses() {
     local file
-    for file in deploy/*.yaml; do
+    for file in deploy/*.yaml deploy/kubernetes/*.yaml; do
         python3 -c 'import sys, yaml; list(yaml.safe_load_all(open(sys.argv[1])))' "$file" || return 1
     done
 }
@@ -90,13 +92,20 @@ if have nginx; then
     mkdir -p "$work/cache"
     sed "s|server pointillist:8080|server 127.0.0.1:8080|; s|/var/cache/nginx/pointillist|$work/cache|; s|listen 80|listen 18080|; s|::\]:80|::]:18080|" \
         deploy/nginx.conf >"$work/site.conf"
-    printf 'pid %s/pid;\nerror_log stderr;\nevents {}\nhttp {\n    access_log off;\n    include %s/site.conf;\n}\n' "$work" "$work" >"$work/nginx.conf"
-    checked "nginx.conf (nginx -t)" nginx -t -c "$work/nginx.conf"
+    {
+        printf 'pid %s/pid;\nerror_log stderr;\nevents {}\nhttp {\n    access_log off;\n' "$work"
+        for kind in client_body proxy fastcgi uwsgi scgi; do printf '    %s_temp_path %s/%s;\n' "$kind" "$work" "$kind"; done
+        printf '    include %s/site.conf;\n}\n' "$work"
+    } >"$work/nginx.conf"
+    checked "nginx.conf (nginx -t)" nginx -t -e stderr -c "$work/nginx.conf"
 else
     lacking "nginx.conf (no nginx)"
 fi
 if have haproxy; then
     checked "haproxy.cfg (haproxy -c)" haproxy -c -q -f deploy/haproxy.cfg
+    # A cluster runs HAProxy 3; older ones do not know hash-key.
+    sed 's/ hash-key addr-port//' deploy/kubernetes/haproxy.cfg >"$work/cluster.cfg"
+    checked "kubernetes/haproxy.cfg (haproxy -c)" haproxy -c -q -f "$work/cluster.cfg"
 else
     lacking "haproxy.cfg (no haproxy)"
 fi
@@ -104,8 +113,27 @@ fi
 # --- Prometheus
 if have promtool; then
     checked "prometheus-rules.yaml (promtool check rules)" promtool check rules deploy/prometheus-rules.yaml
+    checked "prometheus-rules.yaml (promtool test rules)" promtool test rules deploy/prometheus-rules-test.yaml
+    every_alert_is_tested() {
+        local alert
+        for alert in $(sed -n 's/.*- alert: //p' deploy/prometheus-rules.yaml); do
+            grep -A1 "alertname: $alert$" deploy/prometheus-rules-test.yaml | grep -q exp_alerts ||
+                { echo "$alert: no test in which it fires" >&2; return 1; }
+        done
+    }
+    checked "prometheus-rules.yaml (every alert fires in a test)" every_alert_is_tested
 else
     lacking "prometheus-rules.yaml with 'promtool check rules' (no promtool; Debian's package prometheus has it)"
+fi
+
+# --- Kubernetes
+python=${POINTILLIST_PYTHON:-target/python/bin/python}
+if [ -x "$python" ] && "$python" -c 'import kubernetes_validate' 2>/dev/null; then
+    flags=()
+    [ -x "$binary" ] && flags=("$binary")
+    checked "kubernetes/ (schemas, and broken manifests)" "$python" scripts/check-kubernetes.py "${flags[@]}"
+else
+    lacking "kubernetes/ (no kubernetes-validate; scripts/setup-python.sh installs it)"
 fi
 
 # --- k6: its own parser where it is there, and the script itself with k6's modules played by a few lines of node

@@ -79,12 +79,12 @@ else
     skip "browser" "no Chromium with chromedriver; tests/browser.rs skips itself"
 fi
 
-if haproxy_said=$(scripts/setup-haproxy.sh 2>&1); then
-    echo "$haproxy_said"
-    export POINTILLIST_HAPROXY=required
+if servers_said=$(scripts/setup-servers.sh 2>&1); then
+    echo "$servers_said"
+    export POINTILLIST_SERVERS=required
 else
-    echo "$haproxy_said"
-    skip "haproxy" "none here; tests/http/balancer.rs skips itself"
+    echo "$servers_said"
+    skip "servers" "no HAProxy, nginx or Prometheus; tests/http/balancer.rs and monitoring.rs skip themselves"
 fi
 
 data=${POINTILLIST_DATA:-../shared/data}
@@ -131,10 +131,13 @@ else
     }
     check "shell syntax" syntax
 fi
-check "deploy files" scripts/lint-deploy.sh target/debug/pointillist
+
+# Python's tools: the checker of Kubernetes manifests, and schemathesis.
+python=$(scripts/setup-python.sh) || python=
+check "deploy files" env POINTILLIST_PYTHON="$python/bin/python" scripts/lint-deploy.sh target/debug/pointillist
 
 # The contract, in requests that nobody thought of: POINTILLIST_CONTRACT_SECONDS of them.
-if python=$(scripts/setup-python.sh); then
+if [ -n "$python" ]; then
     check "contract" scripts/fuzz-http.sh "$python" --seconds "${POINTILLIST_CONTRACT_SECONDS:-20}"
 else
     skip "contract" "no Python tools (scripts/setup-python.sh says why); nothing was sent to a daemon by schemathesis"

@@ -25,7 +25,7 @@ use crate::assets::ReadOptions;
 use crate::engine::{Engine, EngineConfig, PrimeConfig};
 use crate::http::access::{Access, Reread, keys};
 use crate::http::server::{serve, serve_monitoring};
-use crate::http::{App, Settings, StreamLimits, UploadLimits, WatchLimits};
+use crate::http::{App, Settings, StreamLimits, UploadLimits, Uploads, WatchLimits};
 use crate::memory::{self, HostMemory};
 use crate::scene::Up;
 use crate::spelling::nearest;
@@ -103,9 +103,12 @@ pub struct ServeArgs {
     /// Maximum width and height of a frame, in pixels [default: 8192]
     #[arg(long, env = "POINTILLIST_MAX_SIDE", value_name = "PX")]
     pub max_side: Option<u32>,
-    /// Refuse uploads; if several daemons share a root, all but one need this flag
+    /// Refuse uploads; if several daemons share a root, all but one need this flag or --follow-uploads
     #[arg(long, env = "POINTILLIST_NO_UPLOADS", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
     pub no_uploads: Option<bool>,
+    /// Refuse uploads, and serve those of the daemon that keeps the uploads of this root; new ones are loaded within seconds
+    #[arg(long, env = "POINTILLIST_FOLLOW_UPLOADS", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
+    pub follow_uploads: Option<bool>,
     /// Maximum size of one upload, in MiB [default: 4096]
     #[arg(long, env = "POINTILLIST_MAX_UPLOAD_MIB", value_name = "MIB")]
     pub max_upload_mib: Option<u64>,
@@ -253,10 +256,7 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     };
     let listener = passed.map_or_else(|| bind(address), Ok)?;
     let monitoring = monitoring.map(bind).transpose()?;
-    let claim = match args.no_uploads {
-        Some(true) => None,
-        _ => claim(&root)?,
-    };
+    let claim = if settings.uploads.are_kept() { claim(&root)? } else { None };
     let engine = Engine::start(engine_config(&args, root)?)?;
     tracing::info!(adapter = engine.adapter(), "engine started");
 
@@ -361,6 +361,7 @@ impl ServeArgs {
             max_pixels: self.max_pixels.or(lower.max_pixels),
             max_side: self.max_side.or(lower.max_side),
             no_uploads: self.no_uploads.or(lower.no_uploads),
+            follow_uploads: self.follow_uploads.or(lower.follow_uploads),
             max_upload_mib: self.max_upload_mib.or(lower.max_upload_mib),
             max_uploads: self.max_uploads.or(lower.max_uploads),
             max_uploads_per_key: self.max_uploads_per_key.or(lower.max_uploads_per_key),
@@ -442,6 +443,18 @@ fn number<T: PartialOrd + std::fmt::Display>(
     Ok(value)
 }
 
+/// What the daemon does with uploads.
+fn uploads(args: &ServeArgs) -> anyhow::Result<Uploads> {
+    match (args.no_uploads == Some(true), args.follow_uploads == Some(true)) {
+        (false, false) => Ok(Uploads::Kept),
+        (false, true) => Ok(Uploads::Followed),
+        (true, false) => Ok(Uploads::Refused),
+        (true, true) => bail!(
+            "--no-uploads and --follow-uploads exclude each other: give --follow-uploads alone to serve the uploads of another daemon"
+        ),
+    }
+}
+
 fn settings(args: &ServeArgs, root: PathBuf, access: Access) -> anyhow::Result<Settings> {
     for origin in &args.cors_origin {
         let fine = origin == "*" || (origin.contains("://") && !origin.ends_with('/'));
@@ -469,7 +482,7 @@ fn settings(args: &ServeArgs, root: PathBuf, access: Access) -> anyhow::Result<S
         read_timeout: seconds("read-timeout-seconds", args.read_timeout_seconds, 30, 1)?,
         drain: seconds("drain-seconds", args.drain_seconds, 20, 0)?,
         drain_delay: seconds("drain-delay", args.drain_delay, 0, 0)?,
-        uploads: args.no_uploads != Some(true),
+        uploads: uploads(args)?,
         reread: Reread::default(),
         streams: StreamLimits {
             most: number("max-streams", args.max_streams, 64, 0)?,

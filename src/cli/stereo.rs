@@ -10,6 +10,7 @@ use super::local::SceneArgs;
 use super::out::say;
 use crate::encode::{FrameImage, encode};
 use crate::engine::{Engine, FrameRequest};
+use crate::plan::Output;
 use crate::scene::color::{linear_from_srgb, srgb_from_linear};
 
 /// Options of `pointillist stereo`.
@@ -20,7 +21,7 @@ pub struct StereoArgs {
     /// Image to write; its extension picks the format: png, jpg, webp or qoi
     #[arg(short = 'o', long = "out", value_name = "FILE")]
     file: PathBuf,
-    /// Distance between the eyes, in scene units [default: a thirtieth of the distance of what both images show in the same place]
+    /// Distance between the eyes, in scene units [default: a thirtieth of the distance of what is near]
     #[arg(long, value_name = "UNITS", value_parser = positive)]
     eye_distance: Option<f64>,
     /// How the images of both eyes make one
@@ -47,8 +48,10 @@ fn positive(text: &str) -> Result<f64, String> {
     number.ok_or_else(|| "expected a number above 0".to_owned())
 }
 
-/// Part of the distance of what both images show in the same place by which eyes are apart: the rule of a thirtieth of stereo photography.
+/// Part of the distance of what is near by which eyes are apart: the rule of a thirtieth of stereo photography.
 const APART: f64 = 1.0 / 30.0;
+/// Share of the pixels that show something which is nearer than what counts as near.
+const NEAR_SHARE: f64 = 0.02;
 
 /// Draws both images and writes one.
 ///
@@ -91,7 +94,25 @@ fn eyes(engine: &Engine, request: &FrameRequest, apart: Option<f64>) -> anyhow::
     let probe = request.settings.shifted(f64::from(f32::MIN_POSITIVE));
     let probe = engine.resolve_blocking(FrameRequest { settings: probe, ..request.clone() })?;
     let distance = probe.settings().stereo_at().context("the image plane has no distance")?;
-    Ok((distance, apart.unwrap_or(APART * distance)))
+    let apart = match apart {
+        Some(apart) => apart,
+        None => APART * near(engine, request)?.unwrap_or(distance).min(distance),
+    };
+    Ok((distance, apart))
+}
+
+/// Returns the distance along the viewing axis of what is near; `None` where nothing can be seen.
+fn near(engine: &Engine, request: &FrameRequest) -> anyhow::Result<Option<f64>> {
+    let frame = engine.submit(FrameRequest { output: Output::Depth, ..request.clone() })?.wait()?;
+    let (words, _) = frame.bytes.as_chunks::<4>();
+    let depths = words.iter().map(|word| f32::from_le_bytes(*word));
+    let mut seen: Vec<f32> = depths.filter(|depth| depth.is_finite() && *depth > 0.0).collect();
+    if seen.is_empty() {
+        return Ok(None);
+    }
+    let rank = (NEAR_SHARE * seen.len() as f64) as usize;
+    let (_, depth, _) = seen.select_nth_unstable_by(rank, f32::total_cmp);
+    Ok(Some(f64::from(*depth)))
 }
 
 /// Joins the images of both eyes.

@@ -10,7 +10,7 @@ use axum::response::{IntoResponse, Response};
 
 use super::journal::Spent;
 use super::problem::{Kind, Problem};
-use super::{App, Caller, Segments, conditional, headers};
+use super::{App, Caller, Phase, Segments, conditional, headers};
 use crate::encode::ImageFormat;
 use crate::engine::{
     EncodedFrame, EngineError, FrameRequest, FrameTicket, Origin, RequestId, Resolution,
@@ -167,11 +167,21 @@ pub fn missing(app: &App, id: &str, problem: Problem) -> Problem {
         return problem;
     }
     match app.registry.get(id) {
+        // A balancer may ask another server, which has its scenes already.
+        Some(super::registry::Entry::Loading { .. }) if app.phase() == Phase::Starting => {
+            let detail = format!("scene `{id}` is still loading: the server is starting");
+            Problem::new(Kind::NotReady, detail).retry_after(Duration::from_secs(1))
+        }
         Some(super::registry::Entry::Loading { .. }) => {
             Problem::new(Kind::SceneLoading, format!("scene `{id}` is still loading"))
                 .retry_after(Duration::from_secs(1))
         }
         Some(super::registry::Entry::Failed { problem, .. }) => problem,
+        None if super::upload::follow::is_coming(app, id) => Problem::new(
+            Kind::SceneLoading,
+            format!("scene `{id}` was uploaded and is not loaded yet"),
+        )
+        .retry_after(Duration::from_secs(1)),
         None => problem,
     }
 }

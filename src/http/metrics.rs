@@ -16,8 +16,8 @@ use prometheus_client::metrics::gauge::{ConstGauge, Gauge};
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
 use prometheus_client::registry::{Metric, Registry, Unit};
 
-use super::Edge;
 use super::limits::Limits;
+use super::{Edge, Phase};
 use crate::engine::{Class, EncodedFrame, Engine, Observer, Readiness, Receipt};
 use crate::jobs::Jobs;
 use crate::memory;
@@ -35,6 +35,11 @@ struct RequestLabels {
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
 struct ClassLabel {
     class: &'static str,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct PhaseLabel {
+    phase: &'static str,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
@@ -157,6 +162,7 @@ impl Observer for Stages {
 pub struct Metrics {
     shelf: Shelf,
     requests: Family<RequestLabels, Counter>,
+    phases: Family<PhaseLabel, Gauge>,
     pub not_modified: Counter,
     pub frames_sent: Counter,
     pub streams_open: Gauge,
@@ -172,6 +178,9 @@ impl Metrics {
         let mut shelf = Shelf(Registry::with_prefix("pointillist"));
         let requests = Family::default();
         let requests = shelf.put("http_requests", "Answers by route, method and status", requests);
+        let help =
+            "1 for the server's phase (loading, serving, leaving or draining), 0 for the others";
+        let phases = shelf.put("phase", help, Family::default());
         let mut counter = |name, help| shelf.put(name, help, Counter::default());
         let not_modified = counter("not_modified", "Frames answered 304 without rendering");
         let frames_sent = counter("frames_sent", "Frames sent, coalesced ones included");
@@ -196,9 +205,10 @@ impl Metrics {
         if let Some(jobs) = jobs {
             shelf.0.register_collector(Box::new(JobCollector(jobs.clone())));
         }
-        Self {
+        let metrics = Self {
             shelf,
             requests,
+            phases,
             not_modified,
             frames_sent,
             streams_open,
@@ -206,6 +216,21 @@ impl Metrics {
             poses_overtaken,
             image_bytes,
             upload_bytes,
+        };
+        metrics.entered(Phase::Starting);
+        metrics
+    }
+
+    /// Notes the server's phase.
+    pub fn entered(&self, now: Phase) {
+        for (phase, name) in [
+            (Phase::Starting, "loading"),
+            (Phase::Serving, "serving"),
+            (Phase::Leaving, "leaving"),
+            (Phase::Draining, "draining"),
+        ] {
+            let label = PhaseLabel { phase: name };
+            self.phases.get_or_create(&label).set(i64::from(phase == now));
         }
     }
 

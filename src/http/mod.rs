@@ -83,6 +83,7 @@ pub use openapi::{openapi_json, openapi_yaml};
 pub use params::{DEFAULT_FOV_DEG, DEFAULT_QUALITY, DEFAULT_SIDE};
 pub use problem::Problem;
 pub use stream::StreamLimits;
+pub use upload::follow::Uploads;
 pub use upload::quota::UploadLimits;
 
 use self::access::signed::Caps;
@@ -115,7 +116,7 @@ pub struct Settings {
     /// Time for which a stopping server goes on serving while `/readyz` already says no.
     pub drain_delay: Duration,
     /// Whether clients may add scenes.
-    pub uploads: bool,
+    pub uploads: Uploads,
     /// Reads keys and certificates again.
     pub reread: Reread,
     pub streams: stream::StreamLimits,
@@ -327,6 +328,7 @@ impl App {
     pub fn set_phase(&self, phase: Phase) {
         // Phases only go forward: a scene that finishes loading does not undo a drain.
         self.phase.fetch_max(phase as u8, Ordering::Relaxed);
+        self.metrics.entered(self.phase());
         if phase == Phase::Draining {
             self.streams.drain();
             self.surveys.close();

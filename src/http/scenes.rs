@@ -60,6 +60,9 @@ pub async fn show(
         Ok(info) => Ok(Json(SceneState::Ready(Box::new(info)))),
         Err(error) => match entry {
             Some(entry) => Ok(Json(SceneState::of(id, entry))),
+            None if upload::follow::is_coming(&app, &id) => {
+                Ok(Json(SceneState::Loading { id, loading_ms: 0 }))
+            }
             None => Err(error.into()),
         },
     }
@@ -83,6 +86,7 @@ pub async fn remove(
     _: NoQuery,
 ) -> Result<StatusCode, Problem> {
     owner.check_scene(&app, &id)?;
+    upload::follow::refuse_removal(&app, &id)?;
     let was_loading = app.registry.cancel(&id);
     if was_loading {
         // The load's next step may take some seconds.
@@ -107,7 +111,7 @@ pub async fn remove(
         worker.engine.scene(&name)?;
         // The id stays taken until the files are gone, so that the files of the next upload are not removed. Without uploads the
         // folder of uploads may belong to another daemon.
-        if worker.settings.uploads {
+        if worker.settings.uploads.are_kept() {
             upload::store::remove_files(&worker.settings.root, &name);
         }
         worker.engine.remove(&name)?;

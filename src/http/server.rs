@@ -26,8 +26,9 @@ use tokio::task::JoinHandle;
 use super::connection::{Doorkeeper, PROBES};
 use super::problem::Problem;
 use super::registry::Reservation;
+use super::upload::follow::{self, Followed};
 use super::upload::store::Earlier;
-use super::{App, Phase, refusal, router, upload};
+use super::{App, Phase, Uploads, refusal, router, upload};
 use crate::engine::{Engine, Readiness, Source};
 
 /// Requests in flight on one HTTP/2 connection.
@@ -62,7 +63,7 @@ pub async fn serve(
     let mut signals = Signals::new()?;
     // Reserve all ids before the first request is answered, so that no upload takes the id of a scene.
     let (asked, required) = (start.scenes.len(), start.required);
-    let reserved = reserve_scenes(&app, start).await?;
+    let (reserved, followed) = reserve_scenes(&app, start).await?;
     let mut server = tokio::spawn(run(app.clone(), listener, handle.clone()));
     if let Ok(jobs) = &app.jobs {
         // Jobs whose scenes are not loaded yet wait for them.
@@ -75,6 +76,9 @@ pub async fn serve(
         loaded = loading => {
             loaded?;
             app.set_phase(Phase::Serving);
+            if let Some(followed) = followed {
+                tokio::spawn(follow::follow(app.clone(), followed));
+            }
             ready(&app.engine, address);
             notify(&[sd_notify::NotifyState::Ready]);
             let watchdog = tokio::spawn(watchdog(app.clone()));
@@ -209,18 +213,27 @@ struct Reserved {
     refusal: Option<Problem>,
 }
 
-/// Finds kept uploads and reserves the ids of all scenes, first of those asked for by name.
-async fn reserve_scenes(app: &Arc<App>, start: StartScenes) -> anyhow::Result<Vec<Reserved>> {
-    // Without uploads the folder may belong to another daemon, which alone cleans it up.
-    let root = app.settings.uploads.then(|| app.settings.root.clone());
-    let earlier = tokio::task::spawn_blocking(move || {
-        root.map_or_else(Vec::new, |root| upload::store::earlier(&root))
+/// Finds uploads and reserves the ids of all scenes, first of those asked for by name. Returns what is known of followed uploads.
+async fn reserve_scenes(
+    app: &Arc<App>,
+    start: StartScenes,
+) -> anyhow::Result<(Vec<Reserved>, Option<Followed>)> {
+    let (root, uploads) = (app.settings.root.clone(), app.settings.uploads);
+    let (earlier, followed) = tokio::task::spawn_blocking(move || match uploads {
+        Uploads::Kept => (upload::store::earlier(&root), None),
+        Uploads::Followed => {
+            let (earlier, followed) = Followed::begin(&root);
+            (earlier, Some(followed))
+        }
+        Uploads::Refused => (Vec::new(), None),
     })
     .await?;
     let at = |(id, file)| (id, Some(Source::at(file)), None);
     let mut scenes: Vec<_> = start.scenes.into_iter().map(at).collect();
     for Earlier { id, source, key, bytes, refusal } in earlier {
-        app.uploads.keep(&id, app.uploads.known(key.as_deref(), bytes));
+        if !scenes.iter().any(|(known, ..)| *known == id) {
+            app.uploads.keep(&id, app.uploads.known(key.as_deref(), bytes));
+        }
         scenes.push((id, source, refusal));
     }
     let reserve = |(id, source, refusal): (String, _, _)| {
@@ -228,7 +241,7 @@ async fn reserve_scenes(app: &Arc<App>, start: StartScenes) -> anyhow::Result<Ve
         let reservation = app.registry.reserve(&id, app.engine.admission(), is_loaded);
         Reserved { reservation, id, source, refusal }
     };
-    Ok(scenes.into_iter().map(reserve).collect())
+    Ok((scenes.into_iter().map(reserve).collect(), followed))
 }
 
 /// Loads scenes one after the other, because each may need most of the memory. The first `asked` scenes were asked for by name;

@@ -191,9 +191,14 @@ impl Daemon {
     /// loaded.
     pub fn kill_and_restart_asking(mut self, ask: impl FnMut(SocketAddr)) -> Daemon {
         self.kill();
+        self.start_again_asking(&[], ask)
+    }
+
+    /// Starts a daemon that was killed again on the same root. Calls `ask` as [`Daemon::kill_and_restart_asking`] does.
+    pub fn start_again_asking(mut self, args: &[&str], ask: impl FnMut(SocketAddr)) -> Daemon {
         let folder = std::mem::replace(&mut self.folder, tempfile::tempdir().unwrap());
         let command = Command::new(env!("CARGO_BIN_EXE_pointillist"));
-        Daemon::spawn_asking(command, folder, &[], &[], ask)
+        Daemon::spawn_asking(command, folder, args, &[], ask)
     }
 
     fn spawn_as(

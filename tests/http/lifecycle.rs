@@ -5,7 +5,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use pointillist::http::access::{Access, Reread};
-use pointillist::http::{Edge, Settings, StreamLimits, UploadLimits, WatchLimits};
+use pointillist::http::{Edge, Settings, StreamLimits, UploadLimits, Uploads, WatchLimits};
 
 use super::client::{raw, read_to_close};
 use super::daemon::{Daemon, eventually};
@@ -152,7 +152,7 @@ pub fn settings(root: &Path) -> Settings {
         read_timeout: Duration::from_secs(10),
         drain: Duration::from_secs(1),
         drain_delay: Duration::ZERO,
-        uploads: true,
+        uploads: Uploads::Kept,
         reread: Reread::default(),
         streams: StreamLimits { most: 4, most_per_client: 4, idle: Duration::from_secs(10) },
         watches: WatchLimits { most: 4, most_per_client: 4, longest: Duration::from_secs(10) },

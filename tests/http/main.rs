@@ -29,6 +29,7 @@ mod picks;
 mod provisional;
 mod resolving;
 mod schema;
+mod servers;
 mod soak;
 mod stream;
 mod stream_ends;

@@ -17,7 +17,7 @@ pub(super) struct Claim {
 #[derive(Debug, thiserror::Error)]
 #[error(
     "{holder} keeps the uploads of {root}; stop it, give this one another folder with --root, or serve that one without uploads \
-     with --no-uploads"
+     with --no-uploads or --follow-uploads"
 )]
 struct Held {
     holder: String,

@@ -30,35 +30,39 @@ const JOB_FILE: &[Kind] = &[JobFileDamaged, RangeNotSatisfiable, OutOfDisk];
 pub fn of_operation(path: &str, method: &str) -> Vec<Kind> {
     let groups: &[&[Kind]] = match (path, method) {
         ("/v1/scenes/{id}/frame", _) => {
-            &[&[UnknownScene, SceneLoading, NotAcceptable], SETTINGS, LOADED, QUEUED]
+            &[&[UnknownScene, SceneLoading, NotReady, NotAcceptable], SETTINGS, LOADED, QUEUED]
         }
-        ("/v1/scenes/{id}/frames", _) => &[&[UnknownScene, SceneLoading], BODY, SETTINGS, LOADED],
+        ("/v1/scenes/{id}/frames", _) => {
+            &[&[UnknownScene, SceneLoading, NotReady], BODY, SETTINGS, LOADED]
+        }
         ("/v1/scenes/{id}/compare", _) => {
-            &[&[UnknownScene, SceneLoading, SceneChanged], BODY, SETTINGS, LOADED, QUEUED]
+            &[&[UnknownScene, SceneLoading, NotReady, SceneChanged], BODY, SETTINGS, LOADED, QUEUED]
         }
         ("/v1/scenes/{id}/accuracy", "post") => &[
-            &[UnknownScene, SceneLoading, Measuring, BadParameter, UnknownParameter],
+            &[UnknownScene, SceneLoading, NotReady, Measuring, BadParameter, UnknownParameter],
             &[OverLimit, SceneRefused, SceneTooLarge, OutOfMemory, ShuttingDown],
             BODY,
         ],
         ("/v1/scenes/{id}/accuracy" | "/v1/scenes/{id}/accuracy/cancel", _) => {
-            &[&[UnknownScene, SceneLoading, NotMeasured], LOADED]
+            &[&[UnknownScene, SceneLoading, NotReady, NotMeasured], LOADED]
         }
         ("/v1/scenes/{id}/pick", "get") => {
-            &[&[UnknownScene, SceneLoading], SETTINGS, LOADED, QUEUED]
+            &[&[UnknownScene, SceneLoading, NotReady], SETTINGS, LOADED, QUEUED]
         }
         ("/v1/scenes/{id}/pick", _) => {
-            &[&[UnknownScene, SceneLoading], BODY, SETTINGS, LOADED, QUEUED]
+            &[&[UnknownScene, SceneLoading, NotReady], BODY, SETTINGS, LOADED, QUEUED]
         }
         ("/v1/scenes/{id}/stream", _) => {
-            &[&[UnknownScene, SceneLoading, UpgradeRequired], SETTINGS]
+            &[&[UnknownScene, SceneLoading, NotReady, UpgradeRequired], SETTINGS]
         }
         ("/v1/scenes/{id}/mjpeg", _) => &[
-            &[UnknownScene, SceneLoading, OverLimit, Busy, FrameTimeout, DeviceLost],
+            &[UnknownScene, SceneLoading, NotReady, OverLimit, Busy, FrameTimeout, DeviceLost],
             SETTINGS,
             LOADED,
         ],
-        ("/v1/scenes/{id}/paths/{name}", _) => &[&[UnknownScene, UnknownPath, SceneLoading]],
+        ("/v1/scenes/{id}/paths/{name}", _) => {
+            &[&[UnknownScene, UnknownPath, SceneLoading, NotReady]]
+        }
         ("/viewer/{file}", _) => &[&[UnknownRoute]],
         ("/v1/scenes", "post") => &[
             &[UploadsOff, SceneExists, SceneTooLarge, UnsupportedAsset, BadParameter],
@@ -71,15 +75,15 @@ pub fn of_operation(path: &str, method: &str) -> Vec<Kind> {
             &[UnknownScene, SceneExists, SceneLoading, OverLimit, LoadCancelled, OutOfDisk],
             LOADED,
         ],
-        ("/v1/scenes/{id}", "delete") => &[&[UnknownScene, SceneLoading]],
+        ("/v1/scenes/{id}", "delete") => &[&[UnknownScene, SceneLoading, NotReady, UploadsOff]],
         ("/v1/scenes/{id}", _) => &[&[UnknownScene]],
         ("/v1/scenes/{id}/nodes/{node}", _) => &[
-            &[UnknownScene, UnknownNode, SceneLoading, BadParameter, UnknownParameter],
+            &[UnknownScene, UnknownNode, SceneLoading, NotReady, BadParameter, UnknownParameter],
             BODY,
             CHANGED,
         ],
         ("/v1/jobs", "post") => &[
-            &[JobsOff, UnknownScene, SceneLoading, OverLimit, KeyReused, TooManyJobs],
+            &[JobsOff, UnknownScene, SceneLoading, NotReady, OverLimit, KeyReused, TooManyJobs],
             &[ShuttingDown, OutOfGpuMemory, OutOfJobDisk, OutOfDisk],
             BODY,
             SETTINGS,

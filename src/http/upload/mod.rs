@@ -10,6 +10,7 @@
 //! Uploads stay on disk ([`store`]) until `DELETE` and are loaded again at the next start. [`quota`] limits their number and
 //! bytes.
 
+pub mod follow;
 pub mod quota;
 pub mod store;
 
@@ -82,13 +83,7 @@ pub async fn create(
     let headers = parts.headers.clone();
     let target = Target::from_uri(&parts.uri)?;
     refuse_while_draining(&app)?;
-    if !app.settings.uploads {
-        return Err(Problem::new(
-            Kind::UploadsOff,
-            "this server accepts no uploads (--no-uploads)",
-        )
-        .accepted("restart the server without --no-uploads"));
-    }
+    app.settings.uploads.accepted()?;
     let share = app.uploads.admit(owner.name.as_deref(), &owner.quotas)?;
     // Reserve a given id before the body is received, so that a clash is answered at once.
     let reservation = target.id.as_deref().map(|id| reserve(&app, id)).transpose()?;
@@ -161,7 +156,7 @@ pub async fn retry(
             return Err(Problem::new(Kind::SceneExists, format!("scene `{id}` is loaded")));
         }
     }
-    if app.settings.uploads {
+    if app.settings.uploads.are_kept() {
         store::set_aside(&app.settings.root, &id).map_err(|error| storage(&error))?;
     }
     let Some((reservation, source)) = app.registry.retry(&id, app.engine.admission()) else {
@@ -466,7 +461,7 @@ pub async fn load(
     let (id, root) = (reservation.id().to_owned(), app.settings.root.clone());
     let (file, admission) = (source.clone(), reservation.admission().clone());
     // Without uploads, the folder of uploads may belong to another daemon.
-    let records = app.settings.uploads;
+    let records = app.settings.uploads.are_kept();
     let outcome = tokio::task::spawn_blocking(move || {
         if records {
             store::begin(&root, &id).map_err(|error| storage(&error))?;
@@ -514,7 +509,7 @@ pub async fn load(
 
 /// Removes the files of upload `id` and their share of the limits.
 pub async fn forget_files(app: &Arc<App>, id: &str) {
-    if !app.settings.uploads {
+    if !app.settings.uploads.are_kept() {
         return;
     }
     let (root, name) = (app.settings.root.clone(), id.to_owned());
@@ -527,7 +522,7 @@ pub async fn forget_files(app: &Arc<App>, id: &str) {
 
 /// Records for all running loads that the process ends by itself, so that they do not count as having killed it.
 pub fn stand_down(app: &App) {
-    if !app.settings.uploads {
+    if !app.settings.uploads.are_kept() {
         return;
     }
     for (id, entry) in app.registry.list() {

@@ -1,0 +1,337 @@
+//! Serves the uploads that another daemon keeps in the same root.
+//!
+//! ```text
+//! keeper     POST ──► uploads/ID/ ──load──► its record says `was_loaded`
+//!                                                 │ read every second
+//! follower                                        └──► load; remove once the folder is gone or is another upload's
+//! ```
+//!
+//! One daemon keeps the uploads: it counts quotas, writes records and finds out whether a file takes its loader down. Followers
+//! only read, so the daemons need no lock and no protocol between them, and a folder on a network file system will do. A follower
+//! serves an upload once the keeper has loaded it. Changes of nodes are not in the files, so they stay with the daemon that made
+//! them.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::fs;
+use std::io;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, SystemTime};
+
+use super::store::{Earlier, FOLDER, Record, folder_of, holds};
+use super::{Loading, Origin, load};
+use crate::engine::Source;
+use crate::http::names::valid_id;
+use crate::http::problem::{Kind, Problem};
+use crate::http::{App, Phase};
+
+/// Time between two looks at the folder.
+const PERIOD: Duration = Duration::from_secs(1);
+/// Longest wait for a cancelled load to end.
+const LONGEST_STEP: Duration = Duration::from_secs(30);
+
+/// What a daemon does with uploads.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Uploads {
+    /// It accepts uploads and keeps them below its root.
+    Kept,
+    /// It refuses uploads, and serves those that another daemon keeps.
+    Followed,
+    /// It refuses uploads.
+    Refused,
+}
+
+impl Uploads {
+    pub fn are_kept(self) -> bool {
+        self == Uploads::Kept
+    }
+
+    /// Returns whether clients may upload.
+    ///
+    /// # Errors
+    /// This daemon takes no uploads.
+    pub fn accepted(self) -> Result<(), Problem> {
+        let (detail, accepted) = match self {
+            Uploads::Kept => return Ok(()),
+            Uploads::Followed => (
+                "this server serves the uploads of another one and accepts none (--follow-uploads)",
+                "upload to the server that keeps the uploads",
+            ),
+            Uploads::Refused => (
+                "this server accepts no uploads (--no-uploads)",
+                "restart the server without --no-uploads",
+            ),
+        };
+        Err(Problem::new(Kind::UploadsOff, detail).accepted(accepted))
+    }
+}
+
+/// What tells an upload from a later one with the same id.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Edition {
+    main: String,
+    bytes: u64,
+    modified: SystemTime,
+}
+
+/// The uploads that a follower has seen, by id.
+#[derive(Debug, Default)]
+pub struct Followed {
+    known: BTreeMap<String, Edition>,
+    /// Whether the folder could not be read the last time.
+    is_unreadable: bool,
+}
+
+/// A change that the follower has to repeat.
+enum Change {
+    Load(Found),
+    Remove(String),
+}
+
+/// An upload to load.
+struct Found {
+    id: String,
+    source: Source,
+    key: Option<String>,
+    bytes: u64,
+}
+
+impl Followed {
+    /// Looks at a root for the first time. Returns the uploads that are there.
+    pub fn begin(root: &Path) -> (Vec<Earlier>, Followed) {
+        let mut followed = Followed::default();
+        let found = followed.look(root).into_iter().filter_map(|change| match change {
+            Change::Load(Found { id, source, key, bytes }) => {
+                Some(Earlier { id, source: Some(source), key, bytes, refusal: None })
+            }
+            Change::Remove(_) => None,
+        });
+        let found = found.collect();
+        (found, followed)
+    }
+
+    /// Returns what has changed since the last look, removals first. A folder that cannot be read has not changed.
+    fn look(&mut self, root: &Path) -> Vec<Change> {
+        let present = match present(root) {
+            Ok(present) => present,
+            Err(error) => {
+                if !std::mem::replace(&mut self.is_unreadable, true)
+                    && (error.kind() != io::ErrorKind::NotFound || !self.known.is_empty())
+                {
+                    tracing::warn!(%error, folder = %root.join(FOLDER).display(), "cannot follow the uploads; known ones stay");
+                }
+                return Vec::new();
+            }
+        };
+        self.is_unreadable = false;
+        let (mut removals, mut loads) = (Vec::new(), Vec::new());
+        self.known.retain(|id, _| {
+            let stays = present.contains(id);
+            if !stays {
+                removals.push(Change::Remove(id.clone()));
+            }
+            stays
+        });
+        for id in present {
+            // A folder may go while it is read; the next look finds out.
+            let Ok(Some((record, edition))) = read(root, &id) else { continue };
+            match self.known.get(&id) {
+                Some(known) if *known == edition => continue,
+                Some(_) => removals.push(Change::Remove(id.clone())),
+                None => {}
+            }
+            let source = record.source(root, &id);
+            let Record { key, bytes, .. } = record;
+            loads.push(Change::Load(Found { id: id.clone(), source, key, bytes }));
+            self.known.insert(id, edition);
+        }
+        removals.extend(loads);
+        removals
+    }
+}
+
+/// Returns the ids of all uploads below a root.
+fn present(root: &Path) -> io::Result<BTreeSet<String>> {
+    let mut ids = BTreeSet::new();
+    for entry in fs::read_dir(root.join(FOLDER))? {
+        let entry = entry?;
+        if let Ok(id) = valid_id(entry.file_name().to_string_lossy().into_owned())
+            && entry.file_type()?.is_dir()
+        {
+            ids.insert(id);
+        }
+    }
+    Ok(ids)
+}
+
+/// Reads an upload's record; `None` if its keeper has not loaded it yet.
+fn read(root: &Path, id: &str) -> io::Result<Option<(Record, Edition)>> {
+    let folder = folder_of(root, id);
+    let record = Record::read(&folder)?;
+    if !record.was_loaded {
+        return Ok(None);
+    }
+    let modified = fs::metadata(folder.join(&record.main))?.modified()?;
+    let edition = Edition { main: record.main.clone(), bytes: record.bytes, modified };
+    Ok(Some((record, edition)))
+}
+
+/// Returns whether an unknown scene is an upload that this daemon follows and is about to load.
+pub fn is_coming(app: &App, id: &str) -> bool {
+    let root = &app.settings.root;
+    app.settings.uploads == Uploads::Followed
+        && holds(root, id)
+        && matches!(read(root, id), Ok(Some(_)))
+}
+
+/// Refuses to remove an upload that another daemon keeps.
+///
+/// # Errors
+/// The scene is such an upload.
+pub fn refuse_removal(app: &App, id: &str) -> Result<(), Problem> {
+    if app.settings.uploads != Uploads::Followed || app.uploads.owner(id).is_none() {
+        return Ok(());
+    }
+    let detail = format!("scene `{id}` is an upload that another server keeps (--follow-uploads)");
+    Err(Problem::new(Kind::UploadsOff, detail)
+        .accepted("DELETE at the server that keeps the uploads"))
+}
+
+/// Repeats the keeper's changes until the server drains. Loads one upload at a time, because each may need most of the memory.
+pub async fn follow(app: Arc<App>, mut followed: Followed) {
+    let mut waiting = VecDeque::new();
+    let mut loading: Option<Loading> = None;
+    while app.phase() != Phase::Draining {
+        match &mut loading {
+            Some(load) => {
+                if tokio::time::timeout(PERIOD, load).await.is_ok() {
+                    loading = None;
+                }
+            }
+            None => tokio::time::sleep(PERIOD).await,
+        }
+        let root = app.settings.root.clone();
+        let looked = tokio::task::spawn_blocking(move || {
+            let changes = followed.look(&root);
+            (followed, changes)
+        });
+        let Ok((now, changes)) = looked.await else { return };
+        followed = now;
+        for change in changes {
+            match change {
+                Change::Remove(id) => {
+                    waiting.retain(|found: &Found| found.id != id);
+                    remove(&app, id).await;
+                }
+                Change::Load(found) => waiting.push_back(found),
+            }
+        }
+        while loading.is_none()
+            && let Some(found) = waiting.pop_front()
+        {
+            loading = begin(&app, found);
+        }
+    }
+}
+
+/// Begins to load an upload, unless a scene of the root has its id.
+fn begin(app: &Arc<App>, found: Found) -> Option<Loading> {
+    let Found { id, source, key, bytes } = found;
+    let is_loaded = |id: &str| app.engine.scene(id).is_ok();
+    match app.registry.reserve(&id, app.engine.admission(), is_loaded) {
+        Ok(reservation) => {
+            app.uploads.keep(&id, app.uploads.known(key.as_deref(), bytes));
+            Some(tokio::spawn(load(app.clone(), reservation, source, Origin::Kept)))
+        }
+        Err(problem) => {
+            tracing::warn!(id, problem = problem.detail, "an upload is not followed");
+            None
+        }
+    }
+}
+
+/// Removes a scene that was loaded from an upload.
+async fn remove(app: &Arc<App>, id: String) {
+    if app.uploads.owner(&id).is_none() {
+        return;
+    }
+    if app.registry.cancel(&id) {
+        let _ = tokio::time::timeout(LONGEST_STEP, app.registry.ended(&id)).await;
+    }
+    app.registry.forget(&id);
+    app.uploads.forget(&id);
+    app.surveys.forget(&id);
+    let engine = app.engine.clone();
+    // A scene whose load failed or was cancelled is not in the engine.
+    let _ = tokio::task::spawn_blocking(move || engine.remove(&id)).await;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::http::upload::store::{begin, finish};
+
+    fn told(followed: &mut Followed, root: &Path) -> Vec<String> {
+        let tell = |change| match change {
+            Change::Load(found) => {
+                assert_eq!(found.source.path, folder_of(root, &found.id).join("a.ply"));
+                format!("+{}", found.id)
+            }
+            Change::Remove(id) => format!("-{id}"),
+        };
+        followed.look(root).into_iter().map(tell).collect()
+    }
+
+    fn upload(root: &Path, id: &str, content: &str) {
+        let folder = folder_of(root, id);
+        fs::create_dir_all(&folder).unwrap();
+        fs::write(folder.join("a.ply"), content).unwrap();
+        let bytes = content.len() as u64;
+        Record::new("a.ply".into(), false, None, bytes).write(&folder).unwrap();
+    }
+
+    #[test]
+    fn a_follower_repeats_what_the_keeper_did() {
+        let root = tempfile::tempdir().unwrap();
+        let root = root.path();
+        let (found, mut followed) = Followed::begin(root);
+        assert!(found.is_empty(), "no folder yet");
+        upload(root, "one", "1");
+        upload(root, "two", "1");
+        fs::create_dir(root.join("uploads/.partial-1-1")).unwrap();
+        assert!(told(&mut followed, root).is_empty(), "the keeper has loaded none");
+        finish(root, "two").unwrap();
+        assert_eq!(told(&mut followed, root), ["+two"]);
+        finish(root, "one").unwrap();
+        assert_eq!(told(&mut followed, root), ["+one"]);
+        // A keeper that starts again loads everything anew, which changes nothing.
+        begin(root, "one").unwrap();
+        assert!(told(&mut followed, root).is_empty());
+        // Another upload with the same id replaces the first.
+        fs::remove_dir_all(folder_of(root, "two")).unwrap();
+        upload(root, "two", "22");
+        finish(root, "two").unwrap();
+        fs::remove_dir_all(folder_of(root, "one")).unwrap();
+        assert_eq!(told(&mut followed, root), ["-one", "-two", "+two"]);
+        let (found, _) = Followed::begin(root);
+        let ids: Vec<_> = found.iter().map(|upload| upload.id.as_str()).collect();
+        assert_eq!(ids, ["two"]);
+        // A volume that is not mounted for a moment takes no scene away.
+        fs::rename(root.join(FOLDER), root.join("away")).unwrap();
+        assert!(told(&mut followed, root).is_empty());
+        fs::rename(root.join("away"), root.join(FOLDER)).unwrap();
+        assert!(told(&mut followed, root).is_empty());
+    }
+
+    #[test]
+    fn refusals_name_the_flag() {
+        assert!(Uploads::Kept.accepted().is_ok());
+        for (uploads, flag) in
+            [(Uploads::Followed, "--follow-uploads"), (Uploads::Refused, "--no-uploads")]
+        {
+            let problem = uploads.accepted().unwrap_err();
+            assert_eq!(problem.status(), 503);
+            assert!(problem.detail.contains(flag), "{}", problem.detail);
+        }
+    }
+}
