@@ -20,7 +20,7 @@ use super::bundle::unpack;
 use super::messages::{Beat, Bundle, FilmOrder, Note, Run, beats, notes};
 use super::pacing::{ACK_WAIT, MOST_TRIES, Verdict, judge};
 use super::stopped;
-use super::store::Store;
+use super::store::{Store, StoreError};
 use crate::engine::{Client, Engine, EngineError, RequestId, Source};
 use crate::film::manifest::digits;
 use crate::film::{self, Drawn, Film, FilmError, Wanted};
@@ -169,6 +169,7 @@ impl Worker {
                 Err(format!("no frame was finished for {} seconds", STUCK.as_secs()))
             }
         };
+        self.clear_up(&run).await;
         match ended {
             Ok(Ended::Done) => self.answer(message, AckKind::Ack).await,
             Ok(Ended::Over) => self.answer(message, AckKind::Term).await,
@@ -182,6 +183,20 @@ impl Worker {
             }
         }
         self.set_busy(None);
+    }
+
+    /// Removes what the run has stored after the daemon removed its film.
+    async fn clear_up(&self, run: &Run) {
+        let film = &run.film;
+        let removed = async {
+            match self.store.order(film).await? {
+                None => self.store.remove(film).await,
+                Some(_) => Ok(()),
+            }
+        };
+        if let Err(error) = removed.await {
+            tracing::warn!(film, %error, "cannot clear up after a film");
+        }
     }
 
     async fn tell(&self, run: &Run, note: &Note) {
@@ -267,12 +282,11 @@ impl Worker {
         stop: &Arc<AtomicBool>,
     ) -> Result<(), String> {
         let film = &run.film;
-        let look = |frame: &Wanted| {
-            let frame = frame.clone();
-            async move { Ok((self.store.has_frame(film, &frame.tag).await?, frame)) }
+        let look = |frame: Wanted| async move {
+            Ok::<_, StoreError>((self.store.has_frame(film, &frame.tag).await?, frame))
         };
-        let found = stream::iter(&run.frames).map(look).buffered(STORES).try_collect().await;
-        let found: Vec<(bool, Wanted)> = found.map_err(|error: super::StoreError| text(error))?;
+        let found = stream::iter(run.frames.clone()).map(look).buffered(STORES);
+        let found: Vec<(bool, Wanted)> = found.try_collect().await.map_err(text)?;
         let (there, missing): (Vec<_>, Vec<_>) = found.into_iter().partition(|(there, _)| *there);
         for (_, frame) in there {
             // The worker before may have died before it said so.

@@ -157,7 +157,7 @@ pub fn run(
     let header = film.header(&scene.name);
     let mut finished = found.kept;
     folder.begin(&header, finished.values().map(AsRef::as_ref))?;
-    let mut keep = |drawn: Drawn| {
+    let mut keep = |drawn: Drawn| -> Result<(), FilmError> {
         let record = Arc::new(film.record(&drawn));
         folder.put(&record.file, &drawn.bytes)?;
         folder.note(&record)?;

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 
 use super::client::Client;
-use super::daemon::Daemon;
+use super::daemon::{Daemon, eventually};
 use super::jobs::{create, drawn, ended, job, manifest, name_path, post, when};
 
 /// Returns the NATS server program, if there is one.
@@ -39,6 +39,7 @@ struct Cluster {
     server: Child,
     port: u16,
     folder: tempfile::TempDir,
+    is_secured: bool,
 }
 
 impl Drop for Cluster {
@@ -53,6 +54,8 @@ fn serve_nats(program: &Path, port: u16, folder: &Path) -> Child {
     let server = Command::new(program)
         .args(["-a", "127.0.0.1", "-p", &port.to_string(), "-js", "-sd"])
         .arg(folder.join("nats"))
+        .arg("-c")
+        .arg(folder.join("nats.conf"))
         .stderr(log)
         .spawn();
     server.unwrap()
@@ -60,12 +63,30 @@ fn serve_nats(program: &Path, port: u16, folder: &Path) -> Child {
 
 impl Cluster {
     fn start() -> Option<Cluster> {
+        Cluster::start_with(false)
+    }
+
+    /// Starts a NATS server, which may be one with TLS and a password.
+    fn start_with(is_secured: bool) -> Option<Cluster> {
         let program = nats_server()?;
         let folder = tempfile::tempdir().unwrap();
+        let config = if is_secured {
+            let made = rcgen::generate_simple_self_signed(["localhost".to_owned()]).unwrap();
+            let [cert, key] = ["nats.pem", "nats.key"].map(|name| folder.path().join(name));
+            std::fs::write(&cert, made.cert.pem()).unwrap();
+            std::fs::write(&key, made.signing_key.serialize_pem()).unwrap();
+            format!(
+                "tls {{ cert_file: {cert:?}, key_file: {key:?} }}\n\
+                 authorization {{ users: [ {{ user: pointillist, password: secret }} ] }}\n"
+            )
+        } else {
+            String::new()
+        };
+        std::fs::write(folder.path().join("nats.conf"), config).unwrap();
         // This port was free a moment ago.
         let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let server = serve_nats(&program, port, folder.path());
-        Some(Cluster { program, server, port, folder })
+        Some(Cluster { program, server, port, folder, is_secured })
     }
 
     fn kill_and_restart_broker(&mut self) {
@@ -79,19 +100,23 @@ impl Cluster {
     }
 
     /// The flags of daemons and workers.
-    fn flags(&self) -> [String; 4] {
-        let store = self.store().to_str().unwrap().to_owned();
-        [
-            "--nats".to_owned(),
-            format!("nats://127.0.0.1:{}", self.port),
-            "--store".to_owned(),
-            store,
-        ]
+    fn flags(&self) -> Vec<String> {
+        let port = self.port;
+        let path = |path: PathBuf| path.to_str().unwrap().to_owned();
+        let mut flags = vec!["--store".to_owned(), path(self.store()), "--nats".to_owned()];
+        if self.is_secured {
+            let ca = path(self.folder.path().join("nats.pem"));
+            let url = format!("tls://pointillist:secret@localhost:{port}");
+            flags.extend([url, "--nats-ca".to_owned(), ca]);
+        } else {
+            flags.push(format!("nats://127.0.0.1:{port}"));
+        }
+        flags
     }
 
     fn daemon(&self) -> Daemon {
         let flags = self.flags();
-        Daemon::start_in(name_path, &flags.each_ref().map(String::as_str))
+        Daemon::start_in(name_path, &flags.iter().map(String::as_str).collect::<Vec<_>>())
     }
 
     fn worker(&self, args: &[&str], environment: &[(&str, &str)]) -> Worker {
@@ -226,7 +251,7 @@ fn a_film_survives_kills_of_workers_daemon_and_broker() {
     workers[0].kill();
     workers[0] = cluster.worker(&[], &[]);
     drawn(&daemon.client(), &id, 15);
-    daemon = daemon.kill_and_restart(&flags.each_ref().map(String::as_str));
+    daemon = daemon.kill_and_restart(&flags.iter().map(String::as_str).collect::<Vec<_>>());
     drawn(&daemon.client(), &id, 25);
     cluster.kill_and_restart_broker();
     drawn(&daemon.client(), &id, 40);
@@ -303,6 +328,7 @@ fn a_cancelled_film_leaves_queue_and_store() {
     let other = create(&client, json!({ "to": 9 }));
     ended(&client, &other, "done");
     ended(&client, &id, "cancelled");
+    eventually("an empty store", || cluster.films().is_empty());
     assert_eq!(post(&client, &format!("/v1/jobs/{id}/resume")).status, 200);
     ended(&client, &id, "done");
     assert_eq!(manifest(&client, &id), alone(slow()));
@@ -324,4 +350,20 @@ fn a_patched_scene_is_drawn_by_the_daemon() {
     // There are no workers.
     let id = create(&client, json!({ "to": 3 }));
     ended(&client, &id, "done");
+}
+
+#[test]
+fn a_broker_may_ask_for_tls_and_a_password() {
+    let Some(cluster) = Cluster::start_with(true) else { return };
+    let daemon = cluster.daemon();
+    let client = daemon.client();
+    let _worker = cluster.worker(&[], &[]);
+    let id = create(&client, json!({ "to": 19 }));
+    ended(&client, &id, "done");
+    let load =
+        |state: &str| client.metric(&format!("pointillist_worker_runs{{state=\"{state}\"}}"));
+    eventually("an empty queue", || load("pending") + load("drawing") == 0.0);
+    eventually("a worker", || client.metric("pointillist_workers{kind=\"this\"}") == 1.0);
+    assert_eq!(client.metric("pointillist_workers{kind=\"another\"}"), 0.0);
+    assert_eq!(client.metric("pointillist_frames_set_aside_total"), 0.0);
 }
