@@ -445,7 +445,7 @@ impl Default for ReadOptions {
 pub struct NamedFiles(std::sync::Arc<parking_lot::Mutex<std::collections::BTreeSet<PathBuf>>>);
 
 impl NamedFiles {
-    fn note(&self, file: &Path) {
+    fn note(&self, file: &std::path::Path) {
         self.0.lock().insert(file.to_owned());
     }
 

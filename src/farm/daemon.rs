@@ -151,7 +151,8 @@ impl Remote for Farm {
         let shared = &self.shared;
         shared.runtime.block_on(async {
             tell(Some("the scene's files are being stored for workers".to_owned()));
-            let packed = pack(&order.engine.root(), &order.files, &shared.hashes, &shared.store);
+            let root = order.engine.root();
+            let packed = pack(&root, &order.files, &shared.hashes, &shared.store);
             let scene = tokio::select! {
                 packed = packed => packed.map_err(|error| FilmError::Elsewhere(error.to_string()))?,
                 () = stopped(stop) => return Ok(()),

@@ -144,6 +144,38 @@ pub fn find_shots(engine: &Engine, spec: &Spec) -> Result<Shots, FilmError> {
     Shots::new(&path, spec.fps, spec.from, spec.to)
 }
 
+/// Returns a function that has frames drawn in other processes, if there are such and they can draw the scene.
+fn draw_elsewhere<'a>(
+    shared: &'a JobsState,
+    live: &'a Live,
+    record: &'a Record,
+) -> Option<Box<film::Elsewhere<'a>>> {
+    let remote = shared.remote.get()?;
+    let Some(files) = shared.engine.scene_files(&record.spec.scene) else {
+        tracing::info!(job = record.id, "the scene was patched, so this process draws it");
+        return None;
+    };
+    let tell = |waits_for: Option<String>| {
+        let mut progress = live.progress.lock();
+        if progress.waits_for != waits_for {
+            progress.waits_for = waits_for;
+            drop(progress);
+            live.changed();
+        }
+    };
+    Some(Box::new(
+        move |request: &FrameRequest,
+              frames: Vec<Wanted>,
+              stop: &AtomicBool,
+              keep: &mut Keep<'_>| {
+            let spec = Spec { frame: FrameSpec::new(request), ..record.spec.clone() };
+            let (engine, job) = (&shared.engine, record.id);
+            let order = Order { engine, job, spec, files: files.clone(), frames };
+            remote.draw(order, stop, keep, &tell)
+        },
+    ))
+}
+
 /// One run of a job.
 struct Run<'a> {
     shared: &'a JobsState,
@@ -255,8 +287,8 @@ impl Run<'_> {
         let most_pixels = film::MOST_PIXELS / shared.config.limits.slots.drawing.max(1) as u64;
         let origin = self.origin();
         let engine = &shared.engine;
-        let remote = self.remote();
-        let elsewhere = remote.as_ref().map(|draw| draw as &film::Elsewhere<'_>);
+        let remote = draw_elsewhere(shared, live, &self.record);
+        let elsewhere = remote.as_deref();
         let folder = &folder;
         let film = Film { engine, request, shots, mark, folder, origin, most_pixels, elsewhere };
         let mut drawn = 0;
@@ -285,34 +317,6 @@ impl Run<'_> {
             return Err(self.stopped());
         }
         Ok(reel)
-    }
-
-    /// Returns a function that has frames drawn in other processes, if there are such and they can draw the scene.
-    fn remote(
-        &self,
-    ) -> Option<
-        impl Fn(&FrameRequest, Vec<Wanted>, &AtomicBool, &mut Keep<'_>) -> Result<(), FilmError>,
-    > {
-        let (shared, live, record) = (self.shared, self.live, &self.record);
-        let remote = shared.remote.get()?;
-        let Some(files) = shared.engine.scene_files(&record.spec.scene) else {
-            tracing::info!(job = record.id, "the scene was patched, so this process draws it");
-            return None;
-        };
-        let tell = |waits_for: Option<String>| {
-            let mut progress = live.progress.lock();
-            if progress.waits_for != waits_for {
-                progress.waits_for = waits_for;
-                drop(progress);
-                live.changed();
-            }
-        };
-        Some(move |request: &FrameRequest, frames, stop: &AtomicBool, keep: &mut Keep<'_>| {
-            let spec = Spec { frame: FrameSpec::new(request), ..record.spec.clone() };
-            let (engine, job) = (&shared.engine, record.id);
-            let order = Order { engine, job, spec, files: files.clone(), frames };
-            remote.draw(order, stop, keep, &tell)
-        })
     }
 
     /// Returns the origin of the job's frames, whose ids are `job-7/0` and so on for job 7.
