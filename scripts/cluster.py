@@ -23,6 +23,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import urllib.error
 import urllib.request
 from pathlib import Path
 
@@ -115,15 +116,21 @@ class Cluster:
         data = None if body is None else json.dumps(body).encode()
         request = urllib.request.Request(f"http://127.0.0.1:{self.http_port}{path}", data)
         request.add_header("Content-Type", "application/json")
-        with urllib.request.urlopen(request, timeout=30) as reply:
-            return reply.read()
+        try:
+            with urllib.request.urlopen(request, timeout=30) as reply:
+                return reply.read()
+        except urllib.error.HTTPError as error:
+            # The scene may still be loading.
+            if error.code in (404, 409, 503):
+                raise
+            sys.exit(f"cluster: {path}: {error.code} {error.read().decode()}")
 
     def ready(self):
         until = time.monotonic() + 120
         while True:
             try:
-                if any(scene["id"] == "wall" for scene in json.loads(self.ask("/v1/scenes"))["scenes"]):
-                    return
+                self.ask("/v1/scenes/wall/frame?w=16&h=16")
+                return
             except OSError:
                 pass
             if time.monotonic() > until:

@@ -96,6 +96,11 @@ impl Broker {
             .retry_on_initial_connect()
             .request_timeout(Some(REQUEST))
             .event_callback(|event| async move { tracing::info!("NATS: {event}") });
+        // The client does not look for a user in the address by itself.
+        let user = servers.iter().find_map(|server| server.username().zip(server.password()));
+        if let Some((user, password)) = user {
+            options = options.user_and_password(user.to_owned(), password.to_owned());
+        }
         if let Some(file) = &address.credentials {
             let read = options.credentials_file(file).await;
             options =
