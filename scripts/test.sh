@@ -87,6 +87,14 @@ else
     skip "servers" "no HAProxy, nginx or Prometheus; tests/http/balancer.rs and monitoring.rs skip themselves"
 fi
 
+if nats_said=$(scripts/setup-nats.sh 2>&1); then
+    echo "$nats_said"
+    export POINTILLIST_NATS_SERVER=required
+else
+    echo "$nats_said"
+    skip "nats-server" "none here; tests/http/cluster.rs skips itself"
+fi
+
 data=${POINTILLIST_DATA:-../shared/data}
 [ -d "$data" ] || skip "real data" "no folder $data (POINTILLIST_DATA); tests that read real files skip themselves"
 

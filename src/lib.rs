@@ -11,6 +11,8 @@
 //! 6. [`gpu`] submits, times and reads back;
 //! 7. [`oracle`] renders the same scene in f64 on the CPU, [`accuracy`] compares the two.
 //!
+//! With a message broker, [`farm`] has the frames of such films drawn by worker processes.
+//!
 //! From outside, [`load`] asks a daemon for more and more frames until it no longer keeps up.
 //!
 //! The answer carries a receipt ([`engine::receipt`]): what was understood, which passes ran, which
@@ -22,6 +24,7 @@ pub mod bake;
 pub mod cli;
 pub mod encode;
 pub mod engine;
+pub mod farm;
 pub mod film;
 pub mod generate;
 pub mod gpu;

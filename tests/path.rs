@@ -135,6 +135,7 @@ impl Studio {
             folder: &self.at(folder),
             origin: Client::Unnamed.into(),
             most_pixels: film::MOST_PIXELS,
+            elsewhere: None,
         };
         film::run(&film, &AtomicBool::new(stop), tell)
     }

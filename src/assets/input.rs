@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use flate2::bufread::MultiGzDecoder;
 
 use super::fault::OverLimit;
-use super::{AssetError, Progress, ReadOptions};
+use super::{AssetError, NamedFiles, Progress, ReadOptions};
 use crate::memory::{Admission, Interrupt};
 
 /// Bytes that recognition looks at.
@@ -198,6 +198,7 @@ pub struct Folder {
     base: PathBuf,
     /// Nothing outside is read, canonical.
     root: PathBuf,
+    named: NamedFiles,
 }
 
 impl Folder {
@@ -212,7 +213,7 @@ impl Folder {
             Some(root) => root.canonicalize().ok()?,
             None => base.clone(),
         };
-        Some(Folder { base, root })
+        Some(Folder { base, root, named: options.named.clone() })
     }
 
     /// Name of the first image in the asset's folder, in alphabetical order.
@@ -252,6 +253,7 @@ impl Folder {
         if !found.is_file() {
             return Err("is not a file".to_owned());
         }
+        self.named.note(&found);
         Ok(found)
     }
 

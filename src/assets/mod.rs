@@ -419,6 +419,8 @@ pub struct ReadOptions {
     /// `None` allows the asset's own folder only.
     pub root: Option<PathBuf>,
     pub progress: Progress,
+    /// The files that assets name are noted here when they are found.
+    pub named: NamedFiles,
     /// Memory is reserved here before it is allocated; reading ends when this is cancelled.
     pub admission: Admission,
 }
@@ -432,8 +434,24 @@ impl Default for ReadOptions {
             max_decompressed_bytes: 16 << 30,
             root: None,
             progress: Progress::none(),
+            named: NamedFiles::default(),
             admission: Admission::default(),
         }
+    }
+}
+
+/// Files that assets of a load have named, such as materials, textures and buffers; clones share the list.
+#[derive(Clone, Debug, Default)]
+pub struct NamedFiles(std::sync::Arc<parking_lot::Mutex<std::collections::BTreeSet<PathBuf>>>);
+
+impl NamedFiles {
+    fn note(&self, file: &std::path::Path) {
+        self.0.lock().insert(file.to_owned());
+    }
+
+    /// Returns all files so far.
+    pub fn list(&self) -> Vec<PathBuf> {
+        self.0.lock().iter().cloned().collect()
     }
 }
 

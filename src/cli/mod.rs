@@ -19,6 +19,7 @@ pub mod serve;
 pub mod sign;
 pub mod stereo;
 pub mod tiles;
+pub mod worker;
 
 use std::process::ExitCode;
 
@@ -44,6 +45,8 @@ pub struct Cli {
 enum Command {
     /// Run the daemon
     Serve(Box<serve::ServeArgs>),
+    /// Draw frames of jobs for daemons that share a NATS server
+    Worker(Box<worker::WorkerArgs>),
     /// Draw one frame of a scene or of a single asset file, without a server
     Render(Box<render::RenderArgs>),
     /// Print what pixels of a frame show, as JSON: positions, distances, instances
@@ -80,6 +83,7 @@ enum Command {
 pub fn run() -> anyhow::Result<ExitCode> {
     match Cli::parse().command {
         Command::Serve(args) => serve::run(*args),
+        Command::Worker(args) => worker::run(*args),
         Command::Render(args) => render::run(*args),
         Command::Pick(args) => pick::run(&args),
         Command::Path(args) => path::run(*args),

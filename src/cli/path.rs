@@ -91,6 +91,7 @@ pub fn run(args: PathArgs) -> anyhow::Result<()> {
         folder: &target.folder,
         origin: Client::Unnamed.into(),
         most_pixels: film::MOST_PIXELS,
+        elsewhere: None,
     };
     let began = Instant::now();
     let mut telling = Telling::new();
@@ -337,7 +338,7 @@ impl Telling {
                     say!("{kept} of {} frames are there already", self.total);
                 }
             }
-            Event::Drawn { receipt, .. } => self.count(receipt),
+            Event::Drawn { receipt, .. } => receipt.iter().for_each(|receipt| self.count(receipt)),
         }
     }
 

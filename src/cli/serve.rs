@@ -15,6 +15,7 @@ use serde::Deserialize;
 
 use self::claim::claim;
 use self::edge::{edge, passed_socket, reread};
+use self::farm::{farm_store, use_farm};
 use self::files::{root, start_scenes};
 use self::greeting::{example, greeting, tell};
 use self::patience::{patience, patiently};
@@ -32,6 +33,7 @@ use crate::spelling::nearest;
 
 mod claim;
 mod edge;
+mod farm;
 mod files;
 mod greeting;
 mod patience;
@@ -202,6 +204,18 @@ pub struct ServeArgs {
     /// Seconds for which an ended job is kept, and for which a job waits for its scene [default: 604800, a week]
     #[arg(long, env = "POINTILLIST_JOB_TTL_SECONDS", value_name = "S")]
     pub job_ttl_seconds: Option<u64>,
+    /// NATS server with JetStream, as in nats://HOST:4222: `pointillist worker` processes draw the frames of jobs, this server draws none of them; needs --store
+    #[arg(long, env = "POINTILLIST_NATS", value_name = "URL")]
+    pub nats: Option<String>,
+    /// Credentials for the NATS server: a file of a JWT and a seed
+    #[arg(long, env = "POINTILLIST_NATS_CREDENTIALS", value_name = "FILE")]
+    pub nats_credentials: Option<PathBuf>,
+    /// Certificates, in PEM form, that sign the NATS server's own; requires TLS
+    #[arg(long, env = "POINTILLIST_NATS_CA", value_name = "FILE")]
+    pub nats_ca: Option<PathBuf>,
+    /// Folder, or s3://BUCKET/PREFIX, that this server and all workers share
+    #[arg(long, env = "POINTILLIST_STORE", value_name = "FOLDER_OR_URL")]
+    pub store: Option<String>,
     /// Seconds to keep serving after SIGTERM while /readyz answers 503, so that load balancers notice [default: 0]
     #[arg(long, env = "POINTILLIST_DRAIN_DELAY", value_name = "S")]
     pub drain_delay: Option<u64>,
@@ -249,6 +263,7 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     let settings = Settings { reread: reread(&args, address), ..settings };
     let start = start_scenes(&args, &root)?;
     let jobs_config = jobs_config(&args)?;
+    let farm = farm_store(&args)?;
     let is_taken = |error: &std::io::Error| error.kind() == std::io::ErrorKind::AddrInUse;
     let bind = |address: SocketAddr| {
         patiently(patience(), is_taken, || TcpListener::bind(address))
@@ -263,6 +278,9 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let jobs = open_jobs(&engine, jobs_config, args.state.is_some())?;
     let logs = [settings.edge.access_log.clone(), settings.edge.audit_log.clone()];
+    if let (Some(farm), Ok(jobs)) = (farm, &jobs) {
+        use_farm(farm, &engine, jobs, runtime.handle())?;
+    }
     let app = App::new(engine, settings, jobs);
     if let Some(listener) = monitoring {
         tracing::info!(address = %listener.local_addr()?, "metrics are served");
@@ -282,7 +300,7 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     result
 }
 
-fn init_log(format: LogFormat) {
+pub(super) fn init_log(format: LogFormat) {
     use tracing_subscriber::EnvFilter;
     use tracing_subscriber::fmt::format::FmtSpan;
     let filter = EnvFilter::try_from_env("POINTILLIST_LOG")
@@ -397,6 +415,10 @@ impl ServeArgs {
             max_watchers_per_client: self.max_watchers_per_client.or(lower.max_watchers_per_client),
             watch_seconds: self.watch_seconds.or(lower.watch_seconds),
             job_ttl_seconds: self.job_ttl_seconds.or(lower.job_ttl_seconds),
+            nats: self.nats.or(lower.nats),
+            nats_credentials: self.nats_credentials.or(lower.nats_credentials),
+            nats_ca: self.nats_ca.or(lower.nats_ca),
+            store: self.store.or(lower.store),
             drain_delay: self.drain_delay.or(lower.drain_delay),
             drain_seconds: self.drain_seconds.or(lower.drain_seconds),
             log_format: self.log_format.or(lower.log_format),
@@ -503,7 +525,7 @@ fn settings(args: &ServeArgs, root: PathBuf, access: Access) -> anyhow::Result<S
     })
 }
 
-fn engine_config(args: &ServeArgs, root: PathBuf) -> anyhow::Result<EngineConfig> {
+pub(super) fn engine_config(args: &ServeArgs, root: PathBuf) -> anyhow::Result<EngineConfig> {
     let memory_mib = args.host_memory_mib.map(|mib| number("host-memory-mib", Some(mib), 1, 1));
     let memory_bytes = memory_mib.transpose()?.map(|mib| mib.saturating_mul(1 << 20));
     let memory_bytes = memory_bytes.unwrap_or_else(memory::default_budget);

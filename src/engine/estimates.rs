@@ -120,6 +120,7 @@ impl Loaded {
             origin: self.origin,
             keys: self.keys.clone(),
             path: self.path.clone(),
+            files: self.files.clone(),
         };
         let whole = build(parts, config, None, &Admission::new(&config.memory))?;
         Ok(Some(Loaded { order: self.order, ..whole }))

@@ -10,11 +10,12 @@ use super::asset_keys::{AssetKey, AssetKeys, digest_file, digest_packed};
 use super::cloud_cache::CloudEntry;
 use super::error::{asset_error, scene_error};
 use super::loaded::{Loaded, Parts, build};
+use super::scene_files::SceneFiles;
 use super::uid::next_uid;
 use super::watch::{Abandoned, Watch};
 use super::{EngineConfig, EngineError, Source};
 use crate::assets::warnings::condensed;
-use crate::assets::{AssetError, EnvironmentImage, Geometry, PointCloud, ReadOptions};
+use crate::assets::{AssetError, EnvironmentImage, Geometry, NamedFiles, PointCloud, ReadOptions};
 use crate::bake::CUTOFF;
 use crate::bake::assemble::{Assembler, Prepared};
 use crate::bake::environment::EnvironmentMap;
@@ -120,6 +121,12 @@ pub fn load(
         None => None,
     };
     let warnings = scene_warnings(warnings, &assets, &description);
+    let up = up.or(config.up);
+    let files = SceneFiles::of(
+        &Source { path: path.clone(), base: base.clone(), up },
+        &description,
+        &options.named,
+    );
     let digest = hasher.finalize().into();
     let id = id.to_owned();
     drop(assembler);
@@ -136,6 +143,7 @@ pub fn load(
         origin: digest,
         keys: asset_keys,
         path: path.to_owned(),
+        files: Some(Arc::new(files)),
     };
     Ok(Loaded { unwritten, ..build(parts, config, None, admission)? })
 }
@@ -176,7 +184,7 @@ fn scene_warnings(
 
 /// Returns the options for reading files: below the root, and within the load's memory.
 fn admitted(config: &EngineConfig, admission: &Admission) -> ReadOptions {
-    let mut options = config.read.clone();
+    let mut options = ReadOptions { named: NamedFiles::default(), ..config.read.clone() };
     options.root.get_or_insert_with(|| config.root.clone());
     options.admission = admission.clone();
     options

@@ -12,6 +12,7 @@ use super::asset_keys::AssetKey;
 use super::cloud_cache::UnwrittenCloud;
 use super::framing::{self, SceneOutline};
 use super::instance_trees::InstanceTrees;
+use super::scene_files::SceneFiles;
 use super::uid::next_uid;
 use super::{
     AssetInfo, EngineConfig, EngineError, EstimateState, Estimates, NamedCamera, NodePatch,
@@ -69,6 +70,8 @@ pub struct Loaded {
     pub(super) keys: Vec<AssetKey>,
     /// The scene's file, or that of its only asset.
     pub(super) path: PathBuf,
+    /// The files that the scene was read from; `None` after a patch.
+    pub(super) files: Option<Arc<SceneFiles>>,
     /// Large clouds that were just read and are to be kept on disk.
     pub unwritten: Vec<UnwrittenCloud>,
 }
@@ -86,6 +89,7 @@ pub struct Parts {
     pub origin: [u8; 32],
     pub keys: Vec<AssetKey>,
     pub path: PathBuf,
+    pub files: Option<Arc<SceneFiles>>,
 }
 
 /// Bytes of an instance, including its temporary entries while the list is made.
@@ -168,6 +172,7 @@ pub fn build(
         origin,
         keys,
         path,
+        files,
     } = parts;
     let model = SceneModel {
         uid: next_uid(),
@@ -208,6 +213,7 @@ pub fn build(
         placements,
         keys,
         path,
+        files,
         unwritten: Vec::new(),
     })
 }
@@ -354,6 +360,7 @@ impl Loaded {
             origin: self.origin,
             keys: self.keys.clone(),
             path: self.path.clone(),
+            files: None,
         };
         build(parts, config, Some((self, index)), &Admission::new(&config.memory))
     }

@@ -57,6 +57,7 @@ mod renderer;
 mod request;
 mod resolve;
 mod resolved;
+mod scene_files;
 mod sizes;
 mod state;
 mod stats;
@@ -89,6 +90,7 @@ pub use renderer::Renderer;
 pub use request::{FrameRequest, Pose};
 pub use resolve::{Resolution, UnbakedFrame};
 pub use resolved::ResolvedFrame;
+pub use scene_files::SceneFiles;
 pub use stats::{EngineStats, Readiness};
 pub use ticket::{EncodedFrame, FrameTicket};
 pub use trace::{Origin, RequestId};
@@ -97,8 +99,7 @@ use crate::bake::uncovered::uncovered_share;
 use crate::memory::{self, Admission};
 use crate::plan::Settings;
 use crate::plan::planner::Measured;
-use crate::residency::Part;
-use crate::residency::model::AssetModel;
+use crate::residency::{Part, model::AssetModel};
 use crate::scene::CameraPath;
 
 use self::bake_service::Goal;
@@ -509,11 +510,6 @@ impl Engine {
     /// time.
     pub fn latest_slot(&self, of: Client) -> LatestSlot {
         LatestSlot::new(self, of)
-    }
-
-    /// Sets the observer of batches and frames; only the first call succeeds. Returns whether this one did.
-    pub fn observe(&self, observer: Arc<dyn Observer>) -> bool {
-        self.state().observer.set(observer).is_ok()
     }
 
     /// Changes whenever a scene is loaded, patched or removed.

@@ -32,7 +32,9 @@ use std::path::PathBuf;
 
 pub use folder::{records, remove};
 pub use manifest::{Header, Record, Records};
-pub use run::{Event, Film, MOST_PIXELS, Report, run, unbaked};
+pub use run::{
+    Drawn, Elsewhere, Event, Film, Keep, MOST_PIXELS, Report, Wanted, draw_wanted, run, unbaked,
+};
 
 use crate::engine::EngineError;
 use crate::math::CameraError;
@@ -57,6 +59,14 @@ pub enum FilmError {
     Locked { folder: PathBuf },
     #[error("the scene changed while frame {frame} was drawn")]
     SceneChanged { frame: u64 },
+    /// This process would draw another frame than the one that is wanted: its scene or its settings differ.
+    #[error(
+        "frame {frame} would show something else here: the scene's files or the settings differ"
+    )]
+    OtherTag { frame: u64 },
+    /// Frames could not be drawn elsewhere.
+    #[error("{0}")]
+    Elsewhere(String),
     #[error("frame {frame}: {error}")]
     Frame { frame: u64, error: EngineError },
     #[error(transparent)]

@@ -1,12 +1,15 @@
 //! Draws the missing frames of a path. Several frames are with the engine at a time, so that small ones are drawn in batches.
 
-use std::collections::VecDeque;
+use std::collections::{HashMap, VecDeque};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use bytes::Bytes;
 use rayon::prelude::*;
+
+use serde::{Deserialize, Serialize};
 
 use super::FilmError;
 use super::folder::Folder;
@@ -14,8 +17,8 @@ use super::manifest::{self, Header, Record, Records};
 use super::shots::{Shots, file_name};
 use super::survey::{self, Slot};
 use crate::engine::{
-    Client, EncodedFrame, Engine, EngineError, FrameRequest, FrameTicket, Origin, Pose, Receipt,
-    Resolution, ResolvedFrame, SceneMark,
+    Client, Engine, EngineError, FrameRequest, FrameTicket, Origin, Pose, Receipt, Resolution,
+    ResolvedFrame, SceneMark,
 };
 
 /// Largest number of pixels with the engine at a time, for a film that is drawn alone.
@@ -42,6 +45,32 @@ pub struct Film<'a> {
     pub origin: Origin,
     /// Largest number of pixels with the engine at a time: [`MOST_PIXELS`], or a share of it.
     pub most_pixels: u64,
+    /// Draws the frames in place of the engine, which then only names them.
+    pub elsewhere: Option<&'a Elsewhere<'a>>,
+}
+
+/// Draws frames on other machines. It gets the request that all frames share, and hands each frame over as soon as it is there.
+pub type Elsewhere<'a> = dyn Fn(&FrameRequest, Vec<Wanted>, &AtomicBool, &mut Keep<'_>) -> Result<(), FilmError>
+    + Sync
+    + 'a;
+
+/// Receives drawn frames.
+pub type Keep<'a> = dyn FnMut(Drawn) -> Result<(), FilmError> + 'a;
+
+/// A frame to draw, and the tag that it must have.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Wanted {
+    pub number: u64,
+    pub tag: String,
+}
+
+/// A drawn frame.
+pub struct Drawn {
+    pub number: u64,
+    pub tag: String,
+    pub bytes: Bytes,
+    /// What the frame has cost, if this process drew it.
+    pub receipt: Option<Receipt>,
 }
 
 /// Progress of a run.
@@ -49,8 +78,8 @@ pub enum Event<'a> {
     /// Sent once, before anything is drawn: how many of the wanted frames are intact, and how many must be drawn. `records` has
     /// all intact frames, including ones that are not wanted.
     Surveyed { kept: u64, to_draw: u64, records: &'a Records },
-    /// A frame's file is in place.
-    Drawn { record: &'a Arc<Record>, receipt: &'a Receipt },
+    /// A frame's file is in place. The receipt is there if this process drew the frame.
+    Drawn { record: &'a Arc<Record>, receipt: Option<&'a Receipt> },
 }
 
 /// The result of a run.
@@ -128,22 +157,20 @@ pub fn run(
     let header = film.header(&scene.name);
     let mut finished = found.kept;
     folder.begin(&header, finished.values().map(AsRef::as_ref))?;
-    let drawing = Drawing {
-        film,
-        queue: found.draw.into(),
-        flight: VecDeque::new(),
-        window: film.window(),
-        refusals: 0,
-        stop,
-    };
-    let ended = draw(drawing, |drawn| {
+    let mut keep = |drawn: Drawn| -> Result<(), FilmError> {
         let record = Arc::new(film.record(&drawn));
-        folder.put(&record.file, &drawn.frame.bytes)?;
+        folder.put(&record.file, &drawn.bytes)?;
         folder.note(&record)?;
-        tell(Event::Drawn { record: &record, receipt: &drawn.frame.receipt });
+        tell(Event::Drawn { record: &record, receipt: drawn.receipt.as_ref() });
         finished.insert(record.frame, record);
         Ok(())
-    });
+    };
+    let ended = match film.elsewhere {
+        Some(draw) => film
+            .wanted(&found.draw, stop)
+            .and_then(|wanted| draw(&film.request, wanted, stop, &mut keep)),
+        None => draw(film.drawing(found.draw, stop), keep),
+    };
     // Also after an error, so that the next run finds the finished frames. The error of the drawing takes precedence.
     let written = folder.begin(&header, finished.values().map(AsRef::as_ref));
     ended.and(written)?;
@@ -153,6 +180,35 @@ pub fn run(
         drawn: there + to_draw - asked,
         missing: asked - there,
         left_over: found.left_over,
+    })
+}
+
+/// Draws frames whose tags are known, for a film that another process runs. `keep` gets them on another thread.
+///
+/// # Errors
+/// As [`run`]; [`FilmError::OtherTag`] before a frame is drawn that would show something else.
+pub fn draw_wanted(
+    film: &Film<'_>,
+    wanted: &[Wanted],
+    stop: &AtomicBool,
+    mut keep: impl FnMut(Drawn) -> Result<(), FilmError> + Send,
+) -> Result<(), FilmError> {
+    while let Some(request) = unbaked(film.engine, &film.request, &film.shots) {
+        film.engine.bake(&request)?;
+    }
+    let tags: HashMap<u64, &str> =
+        wanted.iter().map(|frame| (frame.number, frame.tag.as_str())).collect();
+    let check = |number, tag: &str| match tags.get(&number) {
+        Some(wanted) if *wanted == tag => Ok(()),
+        _ => Err(FilmError::OtherTag { frame: number }),
+    };
+    if let Some(first) = wanted.first() {
+        check(first.number, &film.slot(first.number)?.tag)?;
+    }
+    let numbers = wanted.iter().map(|frame| frame.number).collect();
+    draw(film.drawing(numbers, stop), |drawn| {
+        check(drawn.number, &drawn.tag)?;
+        keep(drawn)
     })
 }
 
@@ -264,14 +320,32 @@ impl Film<'_> {
         recorded.into_par_iter().filter_map(|record| look(record).transpose()).collect()
     }
 
+    /// Names frames, until `stop` becomes true.
+    fn wanted(&self, numbers: &[u64], stop: &AtomicBool) -> Result<Vec<Wanted>, FilmError> {
+        let wanted = numbers.par_iter().filter(|_| !stop.load(Ordering::Relaxed));
+        let wanted = wanted.map(|&number| Ok(Wanted { number, tag: self.slot(number)?.tag }));
+        wanted.collect()
+    }
+
+    fn drawing<'a>(&'a self, numbers: Vec<u64>, stop: &'a AtomicBool) -> Drawing<'a> {
+        Drawing {
+            film: self,
+            queue: numbers.into(),
+            flight: VecDeque::new(),
+            window: self.window(),
+            refusals: 0,
+            stop,
+        }
+    }
+
     fn record(&self, drawn: &Drawn) -> Record {
-        let Drawn { number, tag, frame } = drawn;
+        let Drawn { number, tag, bytes, .. } = drawn;
         Record {
             frame: *number,
             t: self.shots.shot(*number).t,
             file: file_name(*number, self.request.format),
-            bytes: frame.bytes.len() as u64,
-            sha256: manifest::checksum(&frame.bytes),
+            bytes: bytes.len() as u64,
+            sha256: manifest::checksum(bytes),
             tag: tag.clone(),
         }
     }
@@ -321,13 +395,6 @@ struct Sent {
     ticket: FrameTicket,
 }
 
-/// A frame that the engine has drawn.
-struct Drawn {
-    number: u64,
-    tag: String,
-    frame: Arc<EncodedFrame>,
-}
-
 /// The frames of a run.
 struct Drawing<'a> {
     film: &'a Film<'a>,
@@ -360,7 +427,8 @@ impl Drawing<'_> {
                 Ok(drawn) => {
                     self.refusals = 0;
                     let tag = plain(frame.etag());
-                    return Ok(Some(Drawn { number, tag, frame: drawn }));
+                    let (bytes, receipt) = (drawn.bytes.clone(), Some(drawn.receipt.clone()));
+                    return Ok(Some(Drawn { number, tag, bytes, receipt }));
                 }
                 Err(error) => {
                     self.queue.push_front(number);

@@ -366,7 +366,7 @@ impl Collector for JobCollector {
             gauge(count).encode(jobs.encode_family(&[("state", state)])?)?;
         }
         let drawn = ConstCounter::new(counts.drawn);
-        let help = "Frames drawn by jobs, included in the frames rendered";
+        let help = "Frames drawn by jobs, included in the frames rendered unless workers drew them";
         drawn.encode(encoder.encode_descriptor(
             "job_frames",
             help,
@@ -375,7 +375,31 @@ impl Collector for JobCollector {
         )?)?;
         let bytes = gauge(counts.bytes);
         let help = "Disk space of all jobs";
-        bytes.encode(encoder.encode_descriptor("jobs_disk", help, Some(&Unit::Bytes), kind)?)
+        bytes.encode(encoder.encode_descriptor("jobs_disk", help, Some(&Unit::Bytes), kind)?)?;
+        let Some(load) = self.0.remote_load() else { return Ok(()) };
+        let help = "Worker processes that were heard of lately; those of another adapter or version draw no frames of this server";
+        let mut workers = encoder.encode_descriptor("workers", help, None, kind)?;
+        for (of, count) in [("this", load.workers), ("another", load.other_workers)] {
+            gauge(count).encode(workers.encode_family(&[("kind", of)])?)?;
+        }
+        let help = "Runs of frames in the queue: `pending` ones wait for a worker, `drawing` ones have one, `redelivered` ones of those had another before";
+        let mut runs = encoder.encode_descriptor("worker_runs", help, None, kind)?;
+        let states = [
+            ("pending", load.pending),
+            ("drawing", load.drawing),
+            ("redelivered", load.redelivered),
+        ];
+        for (state, count) in states {
+            gauge(count).encode(runs.encode_family(&[("state", state)])?)?;
+        }
+        let aside = ConstCounter::new(load.set_aside);
+        let help = "Frames that were given up because each of several workers ended or failed while drawing them";
+        aside.encode(encoder.encode_descriptor(
+            "frames_set_aside",
+            help,
+            None,
+            aside.metric_type(),
+        )?)
     }
 }
 

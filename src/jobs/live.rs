@@ -44,6 +44,8 @@ pub struct Progress {
     pub coded: u64,
     /// Progress of baking, from 0 to 1.
     pub baked: f64,
+    /// Condition that the stage waits for.
+    pub waits_for: Option<String>,
     pace: Pace,
 }
 
@@ -58,6 +60,7 @@ impl Progress {
 
     pub fn begin(&mut self, stage: Stage) {
         self.stage = stage;
+        self.waits_for = None;
         self.pace = Pace::default();
     }
 

@@ -27,6 +27,7 @@ pub mod live;
 mod maintenance;
 mod manifests;
 mod record;
+mod remote;
 mod runner;
 pub mod spec;
 mod state;
@@ -34,8 +35,8 @@ pub mod store;
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use parking_lot::{Condvar, Mutex, RwLock};
@@ -45,6 +46,7 @@ pub use book::{
     Failure, FailureKind, JobId, Limits, Made, Origin, Record, Refusal, Repeat, Slots, State,
 };
 pub use live::Stage;
+pub use remote::{Load, Order, Remote};
 pub use runner::{find_path, find_shots};
 pub use spec::{FrameSpec, PathChoice, Spec, Want};
 pub use store::{Place, StateError};
@@ -103,6 +105,8 @@ pub struct View {
     /// Recent frames per second.
     pub rate: Option<f64>,
     pub eta_s: Option<f64>,
+    /// Condition that a running job waits for.
+    pub waits_for: Option<String>,
     pub bytes: u64,
     pub expires_ms: Option<u64>,
     /// Increases with every change, from 0 at the start of the process.
@@ -176,6 +180,7 @@ impl Jobs {
                 engine,
                 config,
                 store,
+                remote: OnceLock::new(),
                 creating: Mutex::default(),
                 book: Mutex::new(book),
                 wake: Condvar::new(),
@@ -189,6 +194,18 @@ impl Jobs {
                 epoch: now,
             }),
         })
+    }
+
+    /// Has frames drawn by other processes from now on; to be called before [`Jobs::start`]. Frames of a scene whose files do not
+    /// say how it looks are still drawn here.
+    pub fn draw_with(&self, remote: Arc<dyn Remote>) {
+        // Only the first one counts.
+        let _ = self.shared.remote.set(remote);
+    }
+
+    /// Returns how busy the processes are that draw frames for this one; `None` without such.
+    pub fn remote_load(&self) -> Option<Load> {
+        self.shared.remote.get().map(|remote| remote.load())
     }
 
     /// Starts drawing queued jobs.

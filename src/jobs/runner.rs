@@ -12,7 +12,7 @@ use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use glam::DVec3;
@@ -21,13 +21,14 @@ use super::JobError;
 use super::book::{Failure, FailureKind, JobId, Made, Need, Outcome, Phase, Record, Video};
 use super::hold::hold;
 use super::live::{Live, Stage, Stop};
-use super::spec::{PathChoice, Spec};
+use super::remote::Order;
+use super::spec::{FrameSpec, PathChoice, Spec};
 use super::state::JobsState;
 use super::store::Place;
-use crate::engine::{Client, Engine, EngineError, Origin, RequestId};
+use crate::engine::{Client, Engine, EngineError, FrameRequest, Origin, RequestId};
 use crate::film::shots::Shots;
 use crate::film::video::{self, Coder, Reel, VideoError};
-use crate::film::{self, Event, Film, FilmError, Record as FrameRecord};
+use crate::film::{self, Event, Film, FilmError, Keep, Record as FrameRecord, Wanted};
 use crate::scene::{CameraPath, parse_path};
 
 /// Interval at which an idle runner checks whether a missing scene has appeared.
@@ -143,6 +144,38 @@ pub fn find_shots(engine: &Engine, spec: &Spec) -> Result<Shots, FilmError> {
     Shots::new(&path, spec.fps, spec.from, spec.to)
 }
 
+/// Returns a function that has frames drawn in other processes, if there are such and they can draw the scene.
+fn draw_elsewhere<'a>(
+    shared: &'a JobsState,
+    live: &'a Live,
+    record: &'a Record,
+) -> Option<Box<film::Elsewhere<'a>>> {
+    let remote = shared.remote.get()?;
+    let Some(files) = shared.engine.scene_files(&record.spec.scene) else {
+        tracing::info!(job = record.id, "the scene was patched, so this process draws it");
+        return None;
+    };
+    let tell = |waits_for: Option<String>| {
+        let mut progress = live.progress.lock();
+        if progress.waits_for != waits_for {
+            progress.waits_for = waits_for;
+            drop(progress);
+            live.changed();
+        }
+    };
+    Some(Box::new(
+        move |request: &FrameRequest,
+              frames: Vec<Wanted>,
+              stop: &AtomicBool,
+              keep: &mut Keep<'_>| {
+            let spec = Spec { frame: FrameSpec::new(request), ..record.spec.clone() };
+            let (engine, job) = (&shared.engine, record.id);
+            let order = Order { engine, job, spec, files: files.clone(), frames };
+            remote.draw(order, stop, keep, &tell)
+        },
+    ))
+}
+
 /// One run of a job.
 struct Run<'a> {
     shared: &'a JobsState,
@@ -254,7 +287,10 @@ impl Run<'_> {
         let most_pixels = film::MOST_PIXELS / shared.config.limits.slots.drawing.max(1) as u64;
         let origin = self.origin();
         let engine = &shared.engine;
-        let film = Film { engine, request, shots, mark, folder: &folder, origin, most_pixels };
+        let remote = draw_elsewhere(shared, live, &self.record);
+        let elsewhere = remote.as_deref();
+        let folder = &folder;
+        let film = Film { engine, request, shots, mark, folder, origin, most_pixels, elsewhere };
         let mut drawn = 0;
         let report = film::run(&film, &live.stop, |event| match event {
             Event::Surveyed { kept, to_draw, records } => {
@@ -378,6 +414,7 @@ impl Run<'_> {
                 return Outcome::Failed(failure(FailureKind::SceneChanged, detail));
             }
             FilmError::Io { file, error } => return self.storage(file, error),
+            FilmError::OtherTag { .. } | FilmError::Elsewhere(_) => FailureKind::Engine,
             FilmError::Foreign { .. } | FilmError::Locked { .. } => FailureKind::Storage,
         };
         Outcome::Failed(failure(kind, self.outward(&error.to_string())))

@@ -1,8 +1,8 @@
 //! State that jobs and their threads share, and the changes on disk that follow a change of the book.
 
 use std::collections::HashMap;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::thread::JoinHandle;
 use std::time::Instant;
 
@@ -12,6 +12,7 @@ use super::book::{Book, JobId, Record, Refusal, State};
 use super::clock::Clock;
 use super::live::{Frames, Live, Stage, Stop};
 use super::manifests::Manifests;
+use super::remote::Remote;
 use super::store::{StateError, Store};
 use super::{Config, JobError, View};
 use crate::engine::Engine;
@@ -21,6 +22,8 @@ pub struct JobsState {
     pub engine: Engine,
     pub config: Config,
     pub store: Store,
+    /// Draws frames in place of the engine.
+    pub remote: OnceLock<Arc<dyn Remote>>,
     /// Serialises the creation of jobs.
     pub creating: Mutex<()>,
     /// Held briefly, and never during disk access.
@@ -70,6 +73,7 @@ impl JobsState {
             baked: progress.baked,
             rate,
             eta_s,
+            waits_for: progress.waits_for.clone().filter(|_| is_running),
             bytes: live.bytes(),
             expires_ms: record.expires_ms(book.limits().ttl_ms),
             version,

@@ -11,6 +11,7 @@ mod accuracy;
 mod admission;
 mod balancer;
 mod client;
+mod cluster;
 mod compare;
 mod contract;
 mod daemon;

@@ -44,7 +44,7 @@ pub struct JobState {
     frames_per_second: Option<f64>,
     /// Estimated seconds until the stage ends, from `frames_per_second`.
     eta_seconds: Option<f64>,
-    /// Condition that a queued job waits for, besides its turn.
+    /// Condition that a queued job waits for, besides its turn, or a running one: with `--nats`, a worker that can draw its frames.
     waits_for: Option<String>,
     /// Why the job failed. The type is `urn:pointillist:problem:` and one of `scene-changed`, `unknown-scene` (the scene did not appear in time),
     /// `job-refused`, `job-quota`, `storage`, `job-failed`, `video-failed`, `job-recovered`, `internal`.
@@ -181,7 +181,8 @@ impl JobState {
         let (waits_for, error) = match &record.state {
             State::Queued { waits_for } => (waits_for.clone(), None),
             State::Failed(failure) => (None, Some(failure_problem(failure))),
-            State::Running | State::Done | State::Cancelled => (None, None),
+            State::Running => (view.waits_for.clone(), None),
+            State::Done | State::Cancelled => (None, None),
         };
         let wanted = [("frames", spec.want.frames), ("video", spec.want.video)];
         JobState {

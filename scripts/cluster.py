@@ -1,0 +1,300 @@
+#!/usr/bin/env python3
+"""Runs a small cluster on this machine: a NATS server, a daemon and workers.
+
+    scripts/cluster.py kills --program target/release/pointillist    # a film that survives random kills
+    scripts/cluster.py speed --program target/release/pointillist    # three workers against one process
+
+`kills` draws a film with one process and with three workers, kills workers, daemon and broker at random moments
+meanwhile, and compares the checksum of every frame. `speed` compares the times, and measures the broker's round trip.
+Exit status 1 if frames differ or a limit is missed. Needs nats-server (scripts/setup-nats.sh).
+"""
+
+import argparse
+import hashlib
+import json
+import math
+import os
+import random
+import shutil
+import signal
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+FPS = 30
+
+
+def nats_program():
+    own = Path(__file__).resolve().parent.parent / "target/nats/usr/sbin/nats-server"
+    for name in ("nats-server", "/usr/sbin/nats-server", str(own)):
+        found = shutil.which(name)
+        if found:
+            return found
+    sys.exit("cluster: no nats-server here; scripts/setup-nats.sh installs one")
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def write_scene(root, frames, points):
+    """A wavy wall of points, and a path around it."""
+    side = int(math.sqrt(points))
+    lines = [
+        "ply", "format ascii 1.0", f"element vertex {side * side}",
+        "property float x", "property float y", "property float z",
+        "property uchar red", "property uchar green", "property uchar blue", "end_header",
+    ]
+    for row in range(side):
+        for column in range(side):
+            x, y = (2 * column / (side - 1) - 1, 2 * row / (side - 1) - 1)
+            z = 0.2 * math.sin(5 * x) * math.cos(4 * y)
+            lines.append(f"{x:.5f} {y:.5f} {z:.5f} {255 * column // side} {255 * row // side} 90")
+    (root / "wall.ply").write_text("\n".join(lines) + "\n")
+    end = (frames - 1) / FPS
+    keys = [
+        {"t": 0, "eye": [0, 0, 3], "target": [0, 0, 0]},
+        {"t": end / 2, "eye": [2, 1, 2], "target": [0, 0, 0]},
+        {"t": end, "eye": [-2, 0.5, 2], "target": [0, 0, 0]},
+    ]
+    scene = {
+        "pointillist": 1, "name": "wall", "assets": {"w": {"file": "wall.ply"}},
+        "nodes": [{"asset": "w"}], "paths": {"fly": {"fps": FPS, "keys": keys}},
+    }
+    (root / "wall.json").write_text(json.dumps(scene))
+
+
+class Cluster:
+    """Processes of a cluster, by name; each can be killed and started again."""
+
+    def __init__(self, options, folder):
+        self.options, self.folder = options, folder
+        self.root = folder / "root"
+        self.root.mkdir()
+        write_scene(self.root, options.frames, options.points)
+        self.nats_port, self.http_port = free_port(), free_port()
+        self.store = folder / "store"
+        self.processes = {}
+        self.shared = ["--nats", f"nats://127.0.0.1:{self.nats_port}", "--store", str(self.store)]
+
+    def command(self, name):
+        program = self.options.program
+        serve = [program, "serve", "--listen", f"127.0.0.1:{self.http_port}", "--root", str(self.root), "--no-cache"]
+        if name == "broker":
+            return [nats_program(), "-js", "-sd", str(self.folder / "nats"), "-a", "127.0.0.1", "-p", str(self.nats_port)]
+        if name == "alone":
+            return serve + ["--state", str(self.folder / "state-alone")]
+        if name == "daemon":
+            return serve + ["--state", str(self.folder / "state")] + self.shared
+        return [program, "worker", "--no-cache"] + self.shared
+
+    def start(self, name):
+        with open(self.folder / f"{name}.log", "ab") as log:
+            environment = dict(os.environ, TMPDIR=str(self.folder))
+            self.processes[name] = subprocess.Popen(
+                self.command(name), stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=environment
+            )
+
+    def end(self, name, how=signal.SIGTERM):
+        process = self.processes.pop(name)
+        process.send_signal(how)
+        process.wait()
+
+    def end_all(self):
+        for name in list(self.processes):
+            self.end(name, signal.SIGKILL)
+
+    def ask(self, path, body=None):
+        data = None if body is None else json.dumps(body).encode()
+        request = urllib.request.Request(f"http://127.0.0.1:{self.http_port}{path}", data)
+        request.add_header("Content-Type", "application/json")
+        try:
+            with urllib.request.urlopen(request, timeout=30) as reply:
+                return reply.read()
+        except urllib.error.HTTPError as error:
+            # The scene may still be loading.
+            if error.code in (404, 409, 503):
+                raise
+            sys.exit(f"cluster: {path}: {error.code} {error.read().decode()}")
+
+    def ready(self):
+        until = time.monotonic() + 120
+        while True:
+            try:
+                self.ask("/v1/scenes/wall/frame?w=16&h=16")
+                return
+            except OSError:
+                pass
+            if time.monotonic() > until:
+                sys.exit(f"cluster: the daemon does not answer; its log is in {self.folder}")
+            time.sleep(0.05)
+
+    def order(self):
+        width, height = self.options.size.split("x")
+        body = {"scene": "wall", "path": "fly", "w": int(width), "h": int(height)}
+        return json.loads(self.ask("/v1/jobs", body))["id"]
+
+    def job(self, number):
+        """The job's state, or None while the daemon is not there."""
+        try:
+            return json.loads(self.ask(f"/v1/jobs/{number}"))
+        except OSError:
+            return None
+
+    def finish(self, number, at_each_look=lambda job: None):
+        """Waits for a job's end, and returns its frames' checksums."""
+        while True:
+            job = self.job(number)
+            if job and job["state"] not in ("queued", "running"):
+                break
+            at_each_look(job)
+            time.sleep(0.02)
+        if job["state"] != "done":
+            sys.exit(f"cluster: the job is {job['state']}: {job['error']}")
+        lines = self.ask(f"/v1/jobs/{number}/frames").decode().splitlines()[1:]
+        return {record["frame"]: record["sha256"] for record in map(json.loads, lines)}
+
+    def check(self, number, sums):
+        """Compares the frames that the daemon serves with their checksums."""
+        for frame, expected in sums.items():
+            found = hashlib.sha256(self.ask(f"/v1/jobs/{number}/frames/{frame}")).hexdigest()
+            if found != expected:
+                sys.exit(f"cluster: frame {frame} is damaged")
+
+
+def sum_of(sums):
+    return hashlib.sha256(json.dumps(sorted(sums.items())).encode()).hexdigest()
+
+
+def alone(cluster):
+    """The film as one process draws it: checksums and seconds."""
+    cluster.start("alone")
+    cluster.ready()
+    # The first film builds pipelines.
+    cluster.finish(cluster.order())
+    began = time.monotonic()
+    sums = cluster.finish(cluster.order())
+    seconds = time.monotonic() - began
+    cluster.end("alone")
+    return sums, seconds
+
+
+def kills(options, cluster):
+    expected, seconds = alone(cluster)
+    print(f"one process: {len(expected)} frames in {seconds:.1f} s, checksum {sum_of(expected)}")
+    chance = random.Random(options.seed)
+    workers = [f"worker-{number}" for number in range(options.workers)]
+    for name in ["broker", "daemon", *workers]:
+        cluster.start(name)
+    cluster.ready()
+    number = cluster.order()
+    # Kills are spread over the film: each happens when so many frames are there.
+    due = sorted(chance.randrange(1, options.frames - 1) for _ in range(options.kills))
+    victims = [chance.choice(["broker", "daemon", *workers]) for _ in due]
+    done = []
+
+    def kill(job):
+        while job and len(done) < len(due) and job["frames"]["done"] >= due[len(done)]:
+            victim = victims[len(done)]
+            print(f"  frame {job['frames']['done']}: kill -9 of {victim}")
+            cluster.end(victim, signal.SIGKILL)
+            cluster.start(victim)
+            done.append(victim)
+            if victim == "daemon":
+                return
+
+    began = time.monotonic()
+    found = cluster.finish(number, kill)
+    seconds = time.monotonic() - began
+    cluster.check(number, found)
+    print(f"{options.workers} workers, {len(done)} kills: {len(found)} frames in {seconds:.1f} s, checksum {sum_of(found)}")
+    if found != expected:
+        sys.exit("cluster: the frames differ")
+    if len(done) < options.kills:
+        sys.exit(f"cluster: only {len(done)} of {options.kills} kills happened before the film was over; draw larger frames")
+    print("cluster: every checksum is the same")
+
+
+def round_trips(cluster, count=500):
+    """Milliseconds from a message of the work queue to the broker's word that it is stored."""
+    with socket.create_connection(("127.0.0.1", cluster.nats_port)) as link:
+        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        replies = link.makefile("rb")
+        replies.readline()
+        link.sendall(b'CONNECT {"verbose":false}\r\nSUB _INBOX.speed 1\r\nPING\r\n')
+        while replies.readline() != b"PONG\r\n":
+            pass
+        # No worker is of this kind.
+        message = b"PUB pointillist.runs.nobody.speed _INBOX.speed 200\r\n" + b"x" * 200 + b"\r\n"
+        times = []
+        for _ in range(count):
+            began = time.perf_counter()
+            link.sendall(message)
+            head = replies.readline().split()
+            while head[0] != b"MSG":
+                head = replies.readline().split()
+            reply = replies.read(int(head[-1]) + 2)
+            times.append((time.perf_counter() - began) * 1e3)
+            if b"error" in reply:
+                sys.exit(f"cluster: the broker refuses: {reply.decode()}")
+        return times
+
+
+def speed(options, cluster):
+    expected, single = alone(cluster)
+    workers = [f"worker-{number}" for number in range(options.workers)]
+    for name in ["broker", "daemon", *workers]:
+        cluster.start(name)
+    cluster.ready()
+    # As with one process, the first film builds pipelines in every worker.
+    cluster.finish(cluster.order())
+    began = time.monotonic()
+    found = cluster.finish(cluster.order())
+    together = time.monotonic() - began
+    trips = round_trips(cluster)
+    trip = statistics.median(trips)
+    ratio = together / single
+    print(f"one process      {single:7.2f} s  {len(expected)} frames of {options.size}")
+    print(f"{options.workers} workers        {together:7.2f} s  ratio {ratio:.3f}, limit {options.limit}")
+    print(f"broker           {trip:7.3f} ms median round trip of {len(trips)}, limit 2")
+    if found != expected:
+        sys.exit("cluster: the frames differ")
+    if ratio > options.limit or trip >= 2:
+        sys.exit("cluster: a limit is missed")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=["kills", "speed"])
+    parser.add_argument("--program", default="target/release/pointillist")
+    parser.add_argument("--frames", type=int, default=300)
+    parser.add_argument("--size", default="960x720")
+    parser.add_argument("--points", type=int, default=250_000)
+    parser.add_argument("--workers", type=int, default=3)
+    parser.add_argument("--kills", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--limit", type=float, default=1.1, help="of the ratio of times")
+    options = parser.parse_args()
+    options.program = str(Path(options.program).resolve())
+    with tempfile.TemporaryDirectory(prefix="pointillist-cluster-") as folder:
+        cluster = Cluster(options, Path(folder))
+        try:
+            {"kills": kills, "speed": speed}[options.what](options, cluster)
+        except SystemExit:
+            for log in sorted(Path(folder).glob("*.log")):
+                print(f"--- {log.name}\n{log.read_text(errors='replace')[-3000:]}", file=sys.stderr)
+            raise
+        finally:
+            cluster.end_all()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,221 @@
+//! The connection to the NATS server: a JetStream work queue of runs, and plain subjects for notes and beats.
+//!
+//! Only daemons create the stream and the consumer of their kind. Workers wait until both exist: a server of version 2.9 stops
+//! answering pulls when several clients create a consumer at the same time. Nothing here needs a newer server than 2.9.
+//!
+//! A server that is not there, or that restarts, is no error: the connection is made anew, and every request has a time limit after
+//! which the caller tries again.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use async_nats::jetstream::consumer::{AckPolicy, PullConsumer, pull};
+use async_nats::jetstream::context::Context;
+use async_nats::jetstream::message::PublishMessage;
+use async_nats::jetstream::stream::{self, RetentionPolicy, StorageType};
+use async_nats::jetstream::{self, Message};
+use async_nats::{Client, ConnectOptions, Subscriber};
+use bytes::Bytes;
+use futures::StreamExt;
+use serde::Serialize;
+
+use super::messages::{RUNS, Run, STREAM, runs, runs_of};
+use super::pacing::ACK_WAIT;
+
+/// Time limit of a request to the server.
+const REQUEST: Duration = Duration::from_secs(5);
+/// Time for which the server keeps a worker's pull, and after which the worker makes it anew even if the server is silent.
+const PULL: Duration = Duration::from_secs(4);
+const PULL_LIMIT: Duration = Duration::from_secs(8);
+/// Time for which the server recognises a message that is published again.
+const DUPLICATES: Duration = Duration::from_secs(120);
+/// Age at which the server forgets a run that nobody draws.
+const MOST_AGE: Duration = Duration::from_secs(14 * 24 * 3600);
+/// Runs that workers of a kind may draw at a time.
+const MOST_UNACKED: i64 = 20_000;
+
+/// How to reach the broker.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Address {
+    /// `nats://HOST:PORT` or `tls://HOST:PORT`; several, of a cluster, are separated by commas.
+    pub url: String,
+    /// File of a user's JWT and seed, as `nsc` writes it.
+    pub credentials: Option<PathBuf>,
+    /// Certificates, in PEM form, that sign the server's own.
+    pub ca: Option<PathBuf>,
+}
+
+/// Error of the broker.
+#[derive(Debug, thiserror::Error)]
+pub enum BrokerError {
+    #[error("--nats-credentials {}: {error}", file.display())]
+    Credentials { file: PathBuf, error: std::io::Error },
+    #[error("--nats {url}: {error}; expected nats://HOST:PORT")]
+    Address { url: String, error: String },
+    #[error("the NATS server did not do what it was asked ({what}): {error}")]
+    Request { what: &'static str, error: String },
+}
+
+fn failed<E: std::fmt::Display>(what: &'static str) -> impl FnOnce(E) -> BrokerError {
+    move |error| BrokerError::Request { what, error: error.to_string() }
+}
+
+/// A connection; clones share it.
+#[derive(Clone)]
+pub struct Broker {
+    client: Client,
+    context: Context,
+}
+
+/// Numbers of runs of a kind.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Queued {
+    /// Runs that no worker has.
+    pub pending: u64,
+    /// Runs that workers have.
+    pub drawing: u64,
+    /// Of those, runs that were delivered more than once.
+    pub redelivered: u64,
+}
+
+impl Broker {
+    /// Prepares a connection, which is made in the background, now and whenever it breaks.
+    ///
+    /// # Errors
+    /// The address or a file cannot be used.
+    pub async fn connect(address: &Address, name: &str) -> Result<Broker, BrokerError> {
+        let url = &address.url;
+        let unusable = |error: String| BrokerError::Address { url: url.clone(), error };
+        let servers: Vec<async_nats::ServerAddr> = url
+            .split(',')
+            .map(|server| server.trim().parse())
+            .collect::<Result<_, std::io::Error>>()
+            .map_err(|error| unusable(error.to_string()))?;
+        let mut options = ConnectOptions::new()
+            .name(name)
+            .retry_on_initial_connect()
+            .request_timeout(Some(REQUEST))
+            .event_callback(|event| async move { tracing::info!("NATS: {event}") });
+        // The client does not look for a user in the address by itself.
+        let user = servers.iter().find_map(|server| server.username().zip(server.password()));
+        if let Some((user, password)) = user {
+            options = options.user_and_password(user.to_owned(), password.to_owned());
+        }
+        if let Some(file) = &address.credentials {
+            let read = options.credentials_file(file).await;
+            options =
+                read.map_err(|error| BrokerError::Credentials { file: file.clone(), error })?;
+        }
+        if let Some(file) = &address.ca {
+            options = options.add_root_certificates(file.clone()).require_tls(true);
+        }
+        let client = options.connect(servers).await.map_err(|error| unusable(error.to_string()))?;
+        let context = jetstream::new(client.clone());
+        Ok(Broker { client, context })
+    }
+
+    /// Creates the stream, and the consumer of a kind, unless they exist. For daemons only.
+    ///
+    /// # Errors
+    /// The server does not answer or refuses, as in all other requests.
+    pub async fn prepare(&self, kind: &str) -> Result<(), BrokerError> {
+        let stream = self
+            .context
+            .get_or_create_stream(stream::Config {
+                name: STREAM.to_owned(),
+                subjects: vec![RUNS.to_owned()],
+                retention: RetentionPolicy::WorkQueue,
+                storage: StorageType::File,
+                duplicate_window: DUPLICATES,
+                max_age: MOST_AGE,
+                ..stream::Config::default()
+            })
+            .await
+            .map_err(failed("create the stream"))?;
+        let consumer = pull::Config {
+            durable_name: Some(kind.to_owned()),
+            filter_subject: runs_of(kind),
+            ack_policy: AckPolicy::Explicit,
+            ack_wait: ACK_WAIT,
+            // A message beyond a limit would disappear without a word. The store counts tries.
+            max_deliver: -1,
+            max_ack_pending: MOST_UNACKED,
+            ..pull::Config::default()
+        };
+        let created = stream.get_or_create_consumer(kind, consumer).await;
+        created.map_err(failed("create the consumer"))?;
+        Ok(())
+    }
+
+    /// Queues a run. `id` is unique to the message: the server drops a second one with the same id.
+    pub async fn queue(&self, kind: &str, run: &Run, id: &str) -> Result<(), BrokerError> {
+        let message = PublishMessage::build().payload(json(run)).message_id(id);
+        let published = async {
+            let sent = self.context.send_publish(runs(kind, &run.film), message).await;
+            sent.map_err(failed("queue a run"))?.await.map_err(failed("queue a run"))
+        };
+        tokio::time::timeout(REQUEST, published).await.map_err(failed("queue a run"))??;
+        Ok(())
+    }
+
+    /// Removes a film's runs from the queue.
+    pub async fn purge(&self, kind: &str, film: &str) -> Result<(), BrokerError> {
+        let stream = self.context.get_stream_no_info(STREAM).await;
+        let stream = stream.map_err(failed("find the stream"))?;
+        let purged = stream.purge().filter(runs(kind, film)).await;
+        purged.map_err(failed("remove runs"))?;
+        Ok(())
+    }
+
+    /// Returns how many runs of a kind there are.
+    pub async fn queued(&self, kind: &str) -> Result<Queued, BrokerError> {
+        let consumer = self.consumer(kind).await?;
+        let info = consumer.cached_info();
+        Ok(Queued {
+            pending: info.num_pending,
+            drawing: info.num_ack_pending as u64,
+            redelivered: info.num_redelivered as u64,
+        })
+    }
+
+    /// Returns the consumer of a kind, which a daemon has created.
+    pub async fn consumer(&self, kind: &str) -> Result<PullConsumer, BrokerError> {
+        let found = self.context.get_consumer_from_stream(kind, STREAM).await;
+        found.map_err(failed("find the consumer"))
+    }
+
+    /// Sends a message that need not arrive.
+    pub async fn tell<T: Serialize>(&self, subject: String, message: &T) {
+        // While the connection is broken, this waits for room; what follows is not worth that.
+        let sent = self.client.publish(subject, json(message));
+        let _ = tokio::time::timeout(REQUEST, sent).await;
+    }
+
+    /// Subscribes to messages that need not arrive.
+    pub async fn hear(&self, subject: &str) -> Result<Subscriber, BrokerError> {
+        self.client.subscribe(subject.to_owned()).await.map_err(failed("subscribe"))
+    }
+
+    /// Sends everything that waits to be sent.
+    pub async fn flush(&self) {
+        let _ = tokio::time::timeout(REQUEST, self.client.flush()).await;
+    }
+}
+
+/// Waits for a run; `None` if there is none for a while.
+///
+/// # Errors
+/// The server refuses the pull or does not answer at all.
+pub async fn pull(consumer: &PullConsumer) -> Result<Option<Message>, BrokerError> {
+    let pulled = async {
+        let batch = consumer.batch().max_messages(1).expires(PULL).messages().await;
+        let mut batch = batch.map_err(failed("pull a run"))?;
+        batch.next().await.transpose().map_err(failed("pull a run"))
+    };
+    tokio::time::timeout(PULL_LIMIT, pulled).await.map_err(failed("pull a run"))?
+}
+
+/// Formats a message. Our messages have only strings and numbers, which always have a JSON text.
+fn json<T: Serialize>(message: &T) -> Bytes {
+    serde_json::to_vec(message).unwrap_or_default().into()
+}

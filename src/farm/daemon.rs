@@ -1,0 +1,433 @@
+//! The daemon's side: queues a job's frames as runs and collects them from the store.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use futures::{FutureExt, StreamExt, TryStreamExt, stream};
+use parking_lot::Mutex;
+use sha2::{Digest, Sha256};
+use tokio::runtime::Handle;
+
+use super::broker::{Address, Broker, BrokerError, Queued};
+use super::bundle::{Hashes, pack};
+use super::desk::Desk;
+use super::messages::{BEATS, Beat, FilmOrder, Note, Run, notes};
+use super::roster::Roster;
+use super::stopped;
+use super::store::{Store, StoreError};
+use crate::engine::{Engine, RequestId};
+use crate::film::manifest::digits;
+use crate::film::{Drawn, FilmError, Keep};
+use crate::jobs::{Load, Order, Remote};
+
+/// Interval at which a film's state is looked at when no note comes.
+const TICK: Duration = Duration::from_millis(250);
+/// Time without notes after which the store is listed.
+const LIST_AFTER: Duration = Duration::from_secs(2);
+/// Time after which a job says that no worker can draw it.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// Pause after the broker has failed.
+const PAUSE: Duration = Duration::from_millis(500);
+/// Interval at which queued runs are counted.
+const COUNT_EVERY: Duration = Duration::from_secs(2);
+/// Frames that are read from the store at a time, and notes that are taken at a time.
+const READS: usize = 8;
+const MOST_NOTES: usize = 64;
+/// Time limit of the removal of a film that is over.
+const CLEAR: Duration = Duration::from_secs(20);
+
+/// Draws frames of jobs by worker processes; clones share it.
+#[derive(Clone)]
+pub struct Farm {
+    shared: Arc<Shared>,
+}
+
+struct Shared {
+    broker: Broker,
+    store: Store,
+    runtime: Handle,
+    /// Lasting name of this daemon.
+    name: String,
+    kind: String,
+    adapter: String,
+    roster: Mutex<Roster>,
+    queued: Mutex<Queued>,
+    set_aside: AtomicU64,
+    hashes: Hashes,
+}
+
+/// Reason for the end of a film.
+#[derive(Debug, thiserror::Error)]
+enum Trouble {
+    #[error(transparent)]
+    Broker(#[from] BrokerError),
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+impl Farm {
+    /// Prepares a farm whose tasks run on `runtime`. `name` is this daemon's for good.
+    ///
+    /// # Errors
+    /// The broker's address cannot be used. A broker that is not there is no error.
+    pub fn new(
+        address: &Address,
+        store: Store,
+        name: String,
+        engine: &Engine,
+        runtime: &Handle,
+    ) -> Result<Farm, BrokerError> {
+        let client_name = format!("pointillist daemon {name}");
+        let broker = runtime.block_on(Broker::connect(address, &client_name))?;
+        let (kind, adapter) = (engine.identity(), engine.adapter());
+        let roster = Mutex::new(Roster::default());
+        let (queued, set_aside) = (Mutex::default(), AtomicU64::new(0));
+        let hashes = Hashes::default();
+        let runtime = runtime.clone();
+        let shared = Shared {
+            broker,
+            store,
+            runtime,
+            name,
+            kind,
+            adapter,
+            roster,
+            queued,
+            set_aside,
+            hashes,
+        };
+        let farm = Farm { shared: Arc::new(shared) };
+        farm.shared.runtime.spawn(hear_beats(farm.shared.clone()));
+        farm.shared.runtime.spawn(count_queued(farm.shared.clone()));
+        Ok(farm)
+    }
+}
+
+/// Keeps the roster for as long as the process lives.
+async fn hear_beats(shared: Arc<Shared>) {
+    loop {
+        if let Ok(mut beats) = shared.broker.hear(BEATS).await {
+            while let Some(message) = beats.next().await {
+                if let Ok(beat) = serde_json::from_slice::<Beat>(&message.payload) {
+                    shared.roster.lock().hear(beat, Instant::now());
+                }
+            }
+        }
+        tokio::time::sleep(PAUSE).await;
+    }
+}
+
+/// Counts queued runs now and then, for as long as the process lives.
+async fn count_queued(shared: Arc<Shared>) {
+    loop {
+        // Before the first film, there is no consumer, and nothing is queued.
+        let queued = shared.broker.queued(&shared.kind).await.unwrap_or_default();
+        *shared.queued.lock() = queued;
+        tokio::time::sleep(COUNT_EVERY).await;
+    }
+}
+
+impl Remote for Farm {
+    fn load(&self) -> Load {
+        let now = Instant::now();
+        let Queued { pending, drawing, redelivered } = *self.shared.queued.lock();
+        let set_aside = self.shared.set_aside.load(Ordering::Relaxed);
+        let roster = self.shared.roster.lock();
+        let workers = roster.of_kind(&self.shared.kind, now);
+        let other_workers = roster.others(&self.shared.kind, now).into_values().sum();
+        Load { workers, other_workers, pending, drawing, redelivered, set_aside }
+    }
+
+    fn draw(
+        &self,
+        order: Order<'_>,
+        stop: &AtomicBool,
+        keep: &mut Keep<'_>,
+        tell: &dyn Fn(Option<String>),
+    ) -> Result<(), FilmError> {
+        let shared = &self.shared;
+        shared.runtime.block_on(async {
+            tell(Some("the scene's files are being stored for workers".to_owned()));
+            let root = order.engine.root();
+            let packed = pack(&root, &order.files, &shared.hashes, &shared.store);
+            let scene = tokio::select! {
+                packed = packed => packed.map_err(|error| FilmError::Elsewhere(error.to_string()))?,
+                () = stopped(stop) => return Ok(()),
+            };
+            let film_order = FilmOrder { spec: order.spec, scene };
+            let text = serde_json::to_vec(&film_order);
+            let text = text.map_err(|error| FilmError::Elsewhere(error.to_string()))?;
+            let film = shared.film_name(order.job, &text);
+            let desk = Desk::new(&film, order.frames);
+            let collection = Collection {
+                shared,
+                film: film.clone(),
+                generation: RequestId::fresh().to_string(),
+                order: text,
+                desk,
+                aside: BTreeMap::new(),
+                unqueued: None,
+                trouble: None,
+                began: Instant::now(),
+            };
+            let collected = tokio::select! {
+                collected = collection.collect(keep, tell) => collected,
+                () = stopped(stop) => Ok(()),
+            };
+            // The frames are in the job's folder. A worker that still draws some finds no order and stops.
+            let cleared = async {
+                shared.broker.purge(&shared.kind, &film).await?;
+                Ok::<(), Trouble>(shared.store.remove(&film).await?)
+            };
+            match tokio::time::timeout(CLEAR, cleared).await {
+                Ok(Ok(())) => {}
+                Ok(Err(error)) => tracing::warn!(film, %error, "cannot clear up after a film"),
+                Err(_) => tracing::warn!(film, "clearing up after a film takes too long"),
+            }
+            collected
+        })
+    }
+}
+
+impl Shared {
+    /// Names a film: by this daemon, the job, and everything that its frames share. After a kill, the next process finds the frames again.
+    fn film_name(&self, job: u64, order: &[u8]) -> String {
+        let mut hasher = Sha256::new_with_prefix(format!("{} {job} {} ", self.name, self.kind));
+        hasher.update(order);
+        digits(&hasher.finalize()[..16])
+    }
+}
+
+/// A film whose frames are being collected.
+struct Collection<'a> {
+    shared: &'a Shared,
+    film: String,
+    /// Distinguishes the messages of this process from those of an earlier one, which were removed from the queue.
+    generation: String,
+    order: Vec<u8>,
+    desk: Desk,
+    /// Why frames are set aside.
+    aside: BTreeMap<u64, String>,
+    /// A run that the broker has not confirmed.
+    unqueued: Option<Run>,
+    /// The latest failure, until a frame arrives.
+    trouble: Option<String>,
+    began: Instant,
+}
+
+impl Collection<'_> {
+    async fn collect(
+        mut self,
+        keep: &mut Keep<'_>,
+        tell: &dyn Fn(Option<String>),
+    ) -> Result<(), FilmError> {
+        let mut prepared = false;
+        let mut heard = None;
+        // The store may have frames of an earlier process.
+        let mut listed_at: Option<Instant> = None;
+        let mut news_at = Instant::now();
+        while !self.desk.is_clear() {
+            let is_quiet = news_at.elapsed() >= LIST_AFTER;
+            if listed_at.is_none_or(|at| is_quiet && at.elapsed() >= LIST_AFTER) {
+                match self.look(keep).await? {
+                    Ok(()) => listed_at = Some(Instant::now()),
+                    Err(error) => self.failed(&error.into()).await,
+                }
+            }
+            if !prepared {
+                match self.prepare().await {
+                    Ok(notes) => (prepared, heard) = (true, Some(notes)),
+                    Err(error) => self.failed(&error).await,
+                }
+            } else if let Err(error) = self.queue().await {
+                // A broker that lost its files needs the stream again.
+                prepared = false;
+                self.failed(&error).await;
+            }
+            tell(self.waits_for());
+            let Some(notes) = &mut heard else { continue };
+            let first = tokio::time::timeout(TICK, notes.next()).await;
+            let mut arrived = Vec::new();
+            if let Ok(Some(message)) = first {
+                news_at = Instant::now();
+                self.hear(&message.payload, &mut arrived);
+                while arrived.len() < MOST_NOTES
+                    && let Some(Some(message)) = notes.next().now_or_never()
+                {
+                    self.hear(&message.payload, &mut arrived);
+                }
+            } else if matches!(first, Ok(None)) {
+                prepared = false;
+            }
+            if let Err(error) = self.take(arrived, keep).await? {
+                self.failed(&error.into()).await;
+            }
+            self.look_for_lost().await;
+        }
+        match self.aside.into_iter().next() {
+            None => Ok(()),
+            Some((frame, why)) => {
+                Err(FilmError::Elsewhere(format!("frame {frame} is set aside: {why}")))
+            }
+        }
+    }
+
+    async fn failed(&mut self, trouble: &Trouble) {
+        tracing::warn!(film = self.film, error = %trouble, "a film waits");
+        self.trouble = Some(trouble.to_string());
+        tokio::time::sleep(PAUSE).await;
+    }
+
+    /// Stores what workers need, and removes runs of an earlier process. Returns the film's notes.
+    async fn prepare(&self) -> Result<async_nats::Subscriber, Trouble> {
+        let Shared { broker, store, kind, .. } = self.shared;
+        store.put_order(&self.film, self.order.clone()).await?;
+        broker.prepare(kind).await?;
+        let heard = broker.hear(&notes(&self.film)).await?;
+        broker.purge(kind, &self.film).await?;
+        Ok(heard)
+    }
+
+    /// Queues runs, as many as workers need.
+    async fn queue(&mut self) -> Result<(), Trouble> {
+        let Shared { broker, kind, roster, .. } = self.shared;
+        loop {
+            let workers = roster.lock().of_kind(kind, Instant::now());
+            let next = self.unqueued.take().or_else(|| self.desk.next(workers, Instant::now()));
+            let Some(run) = next else { return Ok(()) };
+            let id = format!("{}-{}-{}", self.film, self.generation, run.id);
+            if let Err(error) = broker.queue(kind, &run, &id).await {
+                // It may be queued all the same; the broker then drops the second one.
+                self.unqueued = Some(run);
+                return Err(error.into());
+            }
+        }
+    }
+
+    /// Takes a note, and collects the numbers of frames that have arrived.
+    fn hear(&mut self, note: &[u8], arrived: &mut Vec<u64>) {
+        let Ok(note) = serde_json::from_slice::<Note>(note) else { return };
+        match note {
+            Note::Drawn { run, frame } | Note::SetAside { run, frame } => {
+                self.desk.seen(&[run], Instant::now());
+                arrived.push(frame);
+            }
+            Note::Finished { run, drawn, elapsed_ns } => {
+                self.desk.seen(&[run], Instant::now());
+                self.desk.measured(drawn, Duration::from_nanos(elapsed_ns));
+            }
+            Note::Failed { run, reason } => {
+                tracing::warn!(film = self.film, run, reason, "a run is tried again");
+                self.desk.seen(&[run], Instant::now());
+                self.trouble = Some(reason);
+            }
+        }
+    }
+
+    /// Takes everything that is in the store.
+    async fn look(&mut self, keep: &mut Keep<'_>) -> Result<Result<(), StoreError>, FilmError> {
+        let listing = match self.shared.store.list(&self.film).await {
+            Ok(listing) => listing,
+            Err(error) => return Ok(Err(error)),
+        };
+        let numbers = self.desk.numbers(&listing.frames);
+        self.take([numbers, listing.aside].concat(), keep).await
+    }
+
+    /// Takes frames from the store. The outer error is that of `keep`.
+    async fn take(
+        &mut self,
+        numbers: Vec<u64>,
+        keep: &mut Keep<'_>,
+    ) -> Result<Result<(), StoreError>, FilmError> {
+        let Shared { store, .. } = self.shared;
+        let film = &self.film;
+        let wanted: Vec<(u64, String)> = numbers
+            .into_iter()
+            .filter_map(|number| Some((number, self.desk.tag(number)?)))
+            .collect();
+        let mut reads = stream::iter(wanted)
+            .map(|(number, tag)| async move {
+                let image = store.frame(film, &tag).await?;
+                let why = match image {
+                    None => store.why_aside(film, number).await?,
+                    Some(_) => None,
+                };
+                Ok::<Read, StoreError>((number, tag, image, why))
+            })
+            .buffer_unordered(READS);
+        loop {
+            let (number, tag, image, why) = match reads.try_next().await {
+                Ok(Some(read)) => read,
+                Ok(None) => return Ok(Ok(())),
+                Err(error) => return Ok(Err(error)),
+            };
+            if image.is_none() && why.is_none() || !self.desk.close(number) {
+                continue;
+            }
+            match image {
+                Some(bytes) => {
+                    self.trouble = None;
+                    keep(Drawn { number, tag, bytes, receipt: None })?;
+                }
+                None => {
+                    tracing::error!(film, frame = number, ?why, "a frame is set aside");
+                    self.shared.set_aside.fetch_add(1, Ordering::Relaxed);
+                    self.aside.insert(number, why.unwrap_or_default());
+                }
+            }
+        }
+    }
+
+    /// Queues runs again that no worker seems to have.
+    async fn look_for_lost(&mut self) {
+        let now = Instant::now();
+        let (runs, has_idle) = {
+            let roster = self.shared.roster.lock();
+            (roster.runs_of(&self.film, now), roster.has_idle(&self.shared.kind, now))
+        };
+        self.desk.seen(&runs, now);
+        let lost = self.desk.take_back(has_idle, now);
+        if lost > 0 {
+            tracing::warn!(
+                film = self.film,
+                lost,
+                "no worker has these runs; they are queued again"
+            );
+            // Workers drop runs of a film without an order.
+            if let Err(error) = self.shared.store.put_order(&self.film, self.order.clone()).await {
+                self.failed(&error.into()).await;
+            }
+        }
+    }
+
+    /// Says what the film waits for.
+    fn waits_for(&self) -> Option<String> {
+        if let Some(trouble) = &self.trouble {
+            return Some(trouble.clone());
+        }
+        let now = Instant::now();
+        let roster = self.shared.roster.lock();
+        if self.began.elapsed() < PATIENCE || roster.of_kind(&self.shared.kind, now) > 0 {
+            return None;
+        }
+        let (adapter, version) = (&self.shared.adapter, crate::VERSION);
+        let wanted =
+            format!("a worker with the adapter {adapter} and this build of version {version}");
+        let others = roster.others(&self.shared.kind, now);
+        let seen: Vec<String> = others
+            .into_iter()
+            .map(|((adapter, version), count)| format!("{count} with {adapter}, version {version}"))
+            .collect();
+        Some(match &seen[..] {
+            [] => format!("{wanted}; there are no workers"),
+            seen => format!("{wanted}; there are only others: {}", seen.join("; ")),
+        })
+    }
+}
+
+/// A frame's number and tag, its image, or why it is set aside.
+type Read = (u64, String, Option<Bytes>, Option<String>);

@@ -1,0 +1,138 @@
+//! What daemon and workers tell each other, and the subjects and names under which they do.
+//!
+//! | on | from | to | what |
+//! |---|---|---|---|
+//! | the stream's `pointillist.runs.KIND.FILM` | daemon, worker | one worker of the kind | [`Run`] |
+//! | subject `pointillist.notes.FILM` | worker | daemon | [`Note`]; none of them must arrive |
+//! | subject `pointillist.workers.KIND` | worker | daemons | [`Beat`], every second |
+//! | the store | both | both | see [`store`](super::store) |
+
+use serde::{Deserialize, Serialize};
+
+use crate::film::Wanted;
+use crate::jobs::Spec;
+
+/// Name of the broker's stream.
+pub const STREAM: &str = "POINTILLIST";
+/// Subjects of the stream.
+pub const RUNS: &str = "pointillist.runs.>";
+/// Subjects of all beats.
+pub const BEATS: &str = "pointillist.workers.*";
+
+/// Returns the subjects of all runs that workers of a kind can draw.
+pub fn runs_of(kind: &str) -> String {
+    format!("pointillist.runs.{kind}.>")
+}
+
+/// Returns the subject of a film's runs.
+pub fn runs(kind: &str, film: &str) -> String {
+    format!("pointillist.runs.{kind}.{film}")
+}
+
+/// Returns the subject of a film's notes.
+pub fn notes(film: &str) -> String {
+    format!("pointillist.notes.{film}")
+}
+
+/// Returns the subject of the beats of workers of a kind.
+pub fn beats(kind: &str) -> String {
+    format!("pointillist.workers.{kind}")
+}
+
+/// A scene's files in the store.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Bundle {
+    /// Path of the scene file or asset file; like all paths here, below the daemon's root.
+    pub main: String,
+    /// Folder to which names in the scene file are relative; `None`: the file's own.
+    pub base: Option<String>,
+    pub up: Option<[f64; 3]>,
+    pub files: Vec<BundledFile>,
+}
+
+/// One file of a scene.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BundledFile {
+    pub path: String,
+    pub bytes: u64,
+    /// Hash of the content, and the name in the store.
+    pub sha256: String,
+}
+
+/// A film: everything that its frames share.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FilmOrder {
+    pub spec: Spec,
+    pub scene: Bundle,
+}
+
+/// A few frames of a film, which one worker draws.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Run {
+    pub film: String,
+    /// Number of the run. The single frames into which a run is split keep it.
+    pub id: u64,
+    pub frames: Vec<Wanted>,
+}
+
+impl Run {
+    /// Returns the name under which the tries of these frames are counted.
+    pub fn key(&self) -> String {
+        let end = |frame: Option<&Wanted>| frame.map_or(0, |frame| frame.number);
+        format!("{}-{}", end(self.frames.first()), end(self.frames.last()))
+    }
+
+    /// Returns the runs of one frame each.
+    pub fn split(&self) -> impl Iterator<Item = Run> {
+        let Run { film, id, frames } = self;
+        let one = |frame: &Wanted| Run { film: film.clone(), id: *id, frames: vec![frame.clone()] };
+        frames.iter().map(one)
+    }
+}
+
+/// What became of a run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Note {
+    /// A frame is in the store.
+    Drawn { run: u64, frame: u64 },
+    /// A worker has drawn so many frames of a run in this time.
+    Finished { run: u64, drawn: u64, elapsed_ns: u64 },
+    /// A worker could not draw a run, and another try follows.
+    Failed { run: u64, reason: String },
+    /// Nobody tries to draw a frame any more; the store says why.
+    SetAside { run: u64, frame: u64 },
+}
+
+/// A worker's sign of life.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Beat {
+    /// Unique name of the process.
+    pub worker: String,
+    /// Hash of what decides the pixels of its frames.
+    pub kind: String,
+    pub adapter: String,
+    pub version: String,
+    /// The film and the run that it works on; `None`: it waits for work.
+    pub busy: Option<(String, u64)>,
+    /// Time for which it has waited, in milliseconds.
+    pub idle_ms: u64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn runs_are_split_into_frames_that_keep_their_run() {
+        let frames: Vec<Wanted> =
+            (3..6).map(|number| Wanted { number, tag: format!("t{number}") }).collect();
+        let run = Run { film: "f".to_owned(), id: 7, frames };
+        assert_eq!(run.key(), "3-5");
+        let split: Vec<Run> = run.split().collect();
+        assert_eq!(split.iter().map(Run::key).collect::<Vec<_>>(), ["3-3", "4-4", "5-5"]);
+        assert!(split.iter().all(|one| one.id == 7 && one.film == "f" && one.frames.len() == 1));
+        let text = serde_json::to_string(&split[1]).unwrap();
+        assert_eq!(serde_json::from_str::<Run>(&text).unwrap(), split[1]);
+    }
+}

@@ -1,0 +1,89 @@
+//! Films over several machines (floor 6): a daemon's jobs, drawn by worker processes that share a NATS server and a store.
+//!
+//! ```text
+//! jobs ──► daemon ──runs──► broker ──runs──► worker ──► film, engine
+//!             ▲  ▲                             │ │
+//!             │  └────────────notes────────────┘ │
+//!             └──────────frames── store ◄────────┘
+//! ```
+//!
+//! The daemon keeps a job as it does without workers: it names the frames, collects them into the job's folder, serves them and codes the
+//! video. Only the drawing is elsewhere, behind [`jobs::Remote`](crate::jobs::Remote). A **run** is a few frames that one worker draws; it is
+//! a message of a JetStream work queue. A worker pulls one run at a time and reports progress while it draws, so that the server delivers
+//! the run of a killed worker to another one. It stores each frame under the frame's entity tag, and draws no frame that is already there.
+//!
+//! Frames of different adapters, drivers or builds never meet in a film. The hash of these three is a worker's **kind**
+//! ([`Engine::identity`](crate::engine::Engine::identity)); the queue delivers a run only to workers of the daemon's kind, and a worker draws a
+//! frame only if it computes the tag that the daemon expects.
+//!
+//! Whatever is killed, nothing is lost: runs are in the broker's files, frames in the store, the job on the daemon's disk. Notes may get
+//! lost; the daemon also looks into the store. It queues runs again that no worker seems to have ([`desk`]). A run that was begun and not
+//! finished is split into single frames, and a frame that was begun [`pacing::MOST_TRIES`] times is set aside: its job fails when
+//! all other frames are there.
+//!
+//! [`pacing`], [`desk`] and [`roster`] are pure.
+
+pub mod broker;
+mod bundle;
+mod daemon;
+mod desk;
+mod messages;
+mod pacing;
+mod roster;
+mod store;
+mod worker;
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+pub use broker::{Address, BrokerError};
+pub use daemon::Farm;
+pub use store::{Store, StoreError};
+pub use worker::Worker;
+
+use crate::engine::RequestId;
+
+/// Interval at which a task looks whether it is to stop.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+
+/// Returns the lasting name of a daemon, which is kept in its state folder.
+///
+/// # Errors
+/// The file cannot be read or written.
+pub fn daemon_name(state: &Path) -> std::io::Result<String> {
+    let file = state.join("farm-name");
+    match std::fs::read_to_string(&file) {
+        Ok(name) if !name.is_empty() => return Ok(name),
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(error),
+        _ => {}
+    }
+    let name = RequestId::fresh().to_string();
+    let fresh = file.with_extension("new");
+    std::fs::write(&fresh, &name)?;
+    std::fs::rename(fresh, file)?;
+    Ok(name)
+}
+
+/// Waits until `stop` is true.
+async fn stopped(stop: &AtomicBool) {
+    while !stop.load(Ordering::Relaxed) {
+        tokio::time::sleep(LOOK_EVERY).await;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn daemons_keep_their_names() {
+        let [one, other] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+        let name = daemon_name(one.path()).unwrap();
+        assert_eq!(daemon_name(one.path()).unwrap(), name);
+        assert_ne!(daemon_name(other.path()).unwrap(), name);
+        std::fs::write(one.path().join("farm-name"), "").unwrap();
+        assert!(!daemon_name(one.path()).unwrap().is_empty());
+        assert!(daemon_name(Path::new("/no/such/folder")).is_err());
+    }
+}

@@ -1,0 +1,124 @@
+//! Decides how frames are shared out and when they are given up. Pure: counts and times come in, decisions come out.
+
+use std::time::Duration;
+
+/// Desired time of a run. Shorter runs pay more for the way to the broker, longer ones keep others waiting at the end of a film.
+pub const RUN_TIME: Duration = Duration::from_secs(2);
+/// Frames of the first runs, before any frame was measured.
+const FIRST_FRAMES: u64 = 4;
+/// Largest number of frames of a run, which bounds its message.
+const MOST_FRAMES: u64 = 256;
+/// Runs that are queued at a time for each worker. With less than two, workers would wait for the daemon.
+const RUNS_PER_WORKER: u64 = 3;
+const FEWEST_RUNS: u64 = 4;
+/// Number of times that a frame is begun before it is set aside.
+pub const MOST_TRIES: u64 = 3;
+/// Number of times that a run of several frames is begun before each of its frames becomes a run.
+const TRIES_TOGETHER: u64 = 1;
+/// A run that no worker has named for this time, while some worker has nothing to do, is lost. The broker delivers a killed
+/// worker's run again much earlier ([`ACK_WAIT`]).
+pub const LOST_AFTER: Duration = Duration::from_secs(20);
+/// Time for which a worker must have waited for work to count as idle.
+pub const IDLE_AFTER: Duration = Duration::from_secs(5);
+/// Time after which the broker delivers a run again whose worker is silent.
+pub const ACK_WAIT: Duration = Duration::from_secs(5);
+
+/// Returns the number of frames of the next run, of `remaining` ones that nobody has yet. `frame` is the measured time of a frame.
+/// Towards the end of a film, runs become shorter, so that all workers end at about the same time.
+pub fn run_length(remaining: u64, frame: Option<Duration>, workers: u64) -> u64 {
+    let by_time = frame.map_or(FIRST_FRAMES, |frame| {
+        let frames = RUN_TIME.as_secs_f64() / frame.as_secs_f64().max(1e-9);
+        (frames as u64).clamp(1, MOST_FRAMES)
+    });
+    let fair = remaining.div_ceil(2 * workers.max(1));
+    by_time.min(fair).max(1).min(remaining)
+}
+
+/// Returns the number of runs that are queued or drawn at a time.
+pub fn most_runs(workers: u64) -> u64 {
+    (workers * RUNS_PER_WORKER).max(FEWEST_RUNS)
+}
+
+/// Returns the mean time of a frame after another measurement. Newer ones count more, because frames of a film change slowly.
+pub fn mean_time(before: Option<Duration>, drawn: u64, elapsed: Duration) -> Option<Duration> {
+    let frames = u32::try_from(drawn).ok().filter(|frames| *frames > 0);
+    let Some(now) = frames.map(|frames| elapsed / frames) else { return before };
+    Some(before.map_or(now, |before| (before + now) / 2))
+}
+
+/// What a worker does with a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    Draw,
+    /// Make each frame a run, to find the one that cannot be drawn.
+    Split,
+    SetAside,
+}
+
+/// Decides about a run of `frames` frames that was begun `begun` times before.
+pub fn judge(begun: u64, frames: usize) -> Verdict {
+    match frames {
+        0 | 1 if begun >= MOST_TRIES => Verdict::SetAside,
+        0 | 1 => Verdict::Draw,
+        _ if begun >= TRIES_TOGETHER => Verdict::Split,
+        _ => Verdict::Draw,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn runs_take_about_two_seconds_and_shrink_at_the_end() {
+        let ms = |ms| Some(Duration::from_millis(ms));
+        assert_eq!(run_length(300, None, 3), 4);
+        assert_eq!(run_length(300, ms(100), 3), 20);
+        assert_eq!(run_length(300, ms(1), 1), 150);
+        assert_eq!(run_length(10_000, ms(1), 1), 256);
+        assert_eq!(run_length(300, ms(60_000), 3), 1);
+        assert_eq!(run_length(12, ms(100), 3), 2);
+        assert_eq!(run_length(1, ms(100), 3), 1);
+        assert_eq!((most_runs(0), most_runs(3)), (4, 9));
+    }
+
+    #[test]
+    fn frames_are_tried_together_once_and_alone_three_times() {
+        assert_eq!(judge(0, 20), Verdict::Draw);
+        assert_eq!(judge(1, 20), Verdict::Split);
+        let alone = [0, 1, 2, 3, 4].map(|begun| judge(begun, 1));
+        let [draw, aside] = [Verdict::Draw, Verdict::SetAside];
+        assert_eq!(alone, [draw, draw, draw, aside, aside]);
+    }
+
+    proptest! {
+        #[test]
+        fn every_film_is_shared_out(
+            frames in 1u64..5000,
+            frame_us in prop::option::of(0u64..10_000_000),
+            workers in 0u64..40,
+        ) {
+            let (mut left, mut runs) = (frames, 0);
+            while left > 0 {
+                let length = run_length(left, frame_us.map(Duration::from_micros), workers);
+                prop_assert!((1..=left.min(MOST_FRAMES)).contains(&length));
+                left -= length;
+                runs += 1;
+            }
+            prop_assert!(runs <= frames);
+        }
+
+        #[test]
+        fn means_lie_between_measurements(times in prop::collection::vec((1u64..100, 1u64..1_000_000), 1..30)) {
+            let each = |(frames, us): (u64, u64)| Duration::from_micros(us) / frames as u32;
+            let mean = times.iter().fold(None, |mean, &(frames, us)| {
+                mean_time(mean, frames, Duration::from_micros(us))
+            });
+            let (least, most) = (times.iter().map(|t| each(*t)).min(), times.iter().map(|t| each(*t)).max());
+            prop_assert!(least <= mean && mean <= most);
+            prop_assert_eq!(mean_time(mean, 0, Duration::from_secs(9)), mean);
+        }
+    }
+}

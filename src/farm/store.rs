@@ -1,0 +1,378 @@
+//! What daemon and workers share besides messages: a folder, or a bucket of an S3-compatible service.
+//!
+//! | name | content | written by |
+//! |---|---|---|
+//! | `assets/SHA256` | a file of a scene | the daemon, once for all films |
+//! | `films/FILM/order.json` | [`FilmOrder`](super::messages::FilmOrder); removed first when the film is over | the daemon |
+//! | `films/FILM/frames/TAG` | the image with this entity tag | workers |
+//! | `films/FILM/tries/FIRST-LAST` | how often these frames were begun | workers |
+//! | `films/FILM/aside/NUMBER` | why a frame is set aside | workers |
+//!
+//! Frames carry their checksum, since a shared folder may keep half of a file after a power cut. Each operation is tried a few times.
+
+use std::path::Path as FilePath;
+use std::sync::Arc;
+use std::time::Duration;
+
+use bytes::Bytes;
+use futures::{StreamExt, TryStreamExt};
+use object_store::aws::AmazonS3Builder;
+use object_store::local::LocalFileSystem;
+use object_store::path::Path;
+use object_store::prefix::PrefixStore;
+use object_store::{ObjectStore, ObjectStoreExt, PutPayload, WriteMultipart};
+use sha2::{Digest, Sha256};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+
+/// Number of tries of an operation. The pause after each is twice as long as the one before.
+const TRIES: u32 = 4;
+const PAUSE: Duration = Duration::from_millis(100);
+/// Bytes of a frame's checksum.
+const SUM: usize = 32;
+/// Bytes of a part of a large file that is uploaded.
+const PART: usize = 8 << 20;
+/// Requests that one listing or removal makes at a time.
+const AT_ONCE: usize = 16;
+
+/// A handle of the store; clones share it.
+#[derive(Clone)]
+pub struct Store {
+    objects: Arc<dyn ObjectStore>,
+    name: Arc<str>,
+}
+
+/// Error of the store.
+#[derive(Debug, thiserror::Error)]
+#[error("--store {store}: {error}")]
+pub struct StoreError {
+    store: Arc<str>,
+    error: object_store::Error,
+}
+
+impl StoreError {
+    fn is_missing(&self) -> bool {
+        matches!(self.error, object_store::Error::NotFound { .. })
+    }
+}
+
+/// Objects of a film, by what their names say.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Listing {
+    /// Tags of frames.
+    pub frames: Vec<String>,
+    /// Numbers of frames that are set aside.
+    pub aside: Vec<u64>,
+}
+
+impl Store {
+    /// Opens `s3://BUCKET/PREFIX`, with access from the usual `AWS_…` variables, or a folder, which is created if missing.
+    ///
+    /// # Errors
+    /// The text names neither, or the folder cannot be created.
+    pub fn open(text: &str) -> Result<Store, StoreError> {
+        let fail = |error| StoreError { store: text.into(), error };
+        let objects: Arc<dyn ObjectStore> = if let Some(rest) = text.strip_prefix("s3://") {
+            // Another crate may have chosen a provider of cryptography already, which is as good.
+            let _ = tokio_rustls::rustls::crypto::ring::default_provider().install_default();
+            let (bucket, prefix) = rest.split_once('/').unwrap_or((rest, ""));
+            let s3 = AmazonS3Builder::from_env().with_bucket_name(bucket).build().map_err(fail)?;
+            Arc::new(PrefixStore::new(s3, Path::from(prefix)))
+        } else {
+            let folder = FilePath::new(text);
+            let created = std::fs::create_dir_all(folder);
+            created.map_err(|error| {
+                fail(object_store::Error::Generic { store: "folder", source: Box::new(error) })
+            })?;
+            let files = LocalFileSystem::new_with_prefix(folder).map_err(fail)?;
+            Arc::new(files.with_automatic_cleanup(true))
+        };
+        Ok(Store { objects, name: text.into() })
+    }
+
+    /// Repeats an operation that fails, unless the object is missing.
+    async fn tried<T, F: Future<Output = object_store::Result<T>>>(
+        &self,
+        mut operation: impl FnMut() -> F,
+    ) -> Result<T, StoreError> {
+        let mut tries = 1;
+        loop {
+            let error = match operation().await {
+                Ok(value) => return Ok(value),
+                Err(error) => StoreError { store: self.name.clone(), error },
+            };
+            if tries >= TRIES || error.is_missing() {
+                return Err(error);
+            }
+            tracing::debug!(%error, "the store is asked again");
+            tokio::time::sleep(PAUSE * (1 << tries)).await;
+            tries += 1;
+        }
+    }
+
+    async fn put(&self, name: &Path, bytes: Bytes) -> Result<(), StoreError> {
+        self.tried(|| self.objects.put(name, PutPayload::from_bytes(bytes.clone()))).await?;
+        Ok(())
+    }
+
+    async fn get(&self, name: &Path) -> Result<Option<Bytes>, StoreError> {
+        let found = self.tried(|| async { self.objects.get(name).await?.bytes().await }).await;
+        absent(found)
+    }
+
+    async fn has(&self, name: &Path) -> Result<bool, StoreError> {
+        Ok(absent(self.tried(|| self.objects.head(name)).await)?.is_some())
+    }
+
+    /// Stores the description of a film.
+    ///
+    /// # Errors
+    /// The store fails, as in all other operations.
+    pub async fn put_order(&self, film: &str, order: Vec<u8>) -> Result<(), StoreError> {
+        self.put(&film_path(film).join("order.json"), order.into()).await
+    }
+
+    /// Returns the description of a film; `None` if the film is over.
+    pub async fn order(&self, film: &str) -> Result<Option<Bytes>, StoreError> {
+        self.get(&film_path(film).join("order.json")).await
+    }
+
+    /// Stores a frame under its tag.
+    pub async fn put_frame(&self, film: &str, tag: &str, image: &[u8]) -> Result<(), StoreError> {
+        self.put(&frame_path(film, tag), seal(image)).await
+    }
+
+    /// Returns a frame; `None` if it is missing. A damaged frame is removed, so that it is drawn again.
+    pub async fn frame(&self, film: &str, tag: &str) -> Result<Option<Bytes>, StoreError> {
+        let name = frame_path(film, tag);
+        let Some(sealed) = self.get(&name).await? else { return Ok(None) };
+        let image = unseal(sealed);
+        if image.is_none() {
+            tracing::warn!(film, tag, "a frame in the store is damaged");
+            absent(self.tried(|| self.objects.delete(&name)).await)?;
+        }
+        Ok(image)
+    }
+
+    /// Returns whether a frame is there.
+    pub async fn has_frame(&self, film: &str, tag: &str) -> Result<bool, StoreError> {
+        self.has(&frame_path(film, tag)).await
+    }
+
+    /// Counts another try of a run, and returns the number of those before.
+    pub async fn count_try(&self, film: &str, run: &str) -> Result<u64, StoreError> {
+        let name = film_path(film).join("tries").join(run);
+        let text = self.get(&name).await?;
+        let before = text.and_then(|text| std::str::from_utf8(&text).ok()?.parse().ok());
+        let before: u64 = before.unwrap_or(0);
+        self.put(&name, (before + 1).to_string().into()).await?;
+        Ok(before)
+    }
+
+    /// Takes back a try that a worker has given up on its own account.
+    pub async fn take_back_try(
+        &self,
+        film: &str,
+        run: &str,
+        before: u64,
+    ) -> Result<(), StoreError> {
+        let name = film_path(film).join("tries").join(run);
+        self.put(&name, before.to_string().into()).await
+    }
+
+    /// Records why a frame is set aside.
+    pub async fn set_aside(&self, film: &str, frame: u64, why: &str) -> Result<(), StoreError> {
+        self.put(&aside_path(film, frame), why.to_owned().into()).await
+    }
+
+    /// Returns why a frame is set aside.
+    pub async fn why_aside(&self, film: &str, frame: u64) -> Result<Option<String>, StoreError> {
+        let text = self.get(&aside_path(film, frame)).await?;
+        Ok(text.map(|text| String::from_utf8_lossy(&text).into_owned()))
+    }
+
+    /// Lists what workers have stored of a film.
+    pub async fn list(&self, film: &str) -> Result<Listing, StoreError> {
+        let folder = film_path(film);
+        let objects = || self.objects.list(Some(&folder)).map_ok(|found| found.location);
+        let names: Vec<Path> = self.tried(|| objects().try_collect()).await?;
+        let mut listing = Listing::default();
+        for name in names {
+            let parts: Vec<_> = name.parts().skip(2).collect();
+            match parts.iter().map(AsRef::as_ref).collect::<Vec<&str>>()[..] {
+                ["frames", tag] => listing.frames.push(tag.to_owned()),
+                ["aside", number] => listing.aside.extend(number.parse::<u64>()),
+                _ => {}
+            }
+        }
+        Ok(listing)
+    }
+
+    /// Removes everything of a film, its description first.
+    pub async fn remove(&self, film: &str) -> Result<(), StoreError> {
+        let folder = film_path(film);
+        let order = folder.clone().join("order.json");
+        absent(self.tried(|| self.objects.delete(&order)).await)?;
+        let names = self.objects.list(Some(&folder)).map_ok(|found| found.location);
+        let removed = names.map_err(|error| StoreError { store: self.name.clone(), error });
+        let delete =
+            |name| async move { absent(self.tried(|| self.objects.delete(&name)).await).map(drop) };
+        removed.try_for_each_concurrent(AT_ONCE, delete).await
+    }
+
+    /// Stores a scene's file under its hash, unless it is there.
+    pub async fn put_asset(&self, sha256: &str, file: &FilePath) -> Result<(), StoreError> {
+        let name = asset_path(sha256);
+        if self.has(&name).await? {
+            return Ok(());
+        }
+        self.tried(|| async {
+            let mut source = tokio::fs::File::open(file).await.map_err(of_file)?;
+            let mut upload = WriteMultipart::new(self.objects.put_multipart(&name).await?);
+            loop {
+                let mut part = Vec::with_capacity(PART);
+                (&mut source).take(PART as u64).read_to_end(&mut part).await.map_err(of_file)?;
+                if part.is_empty() {
+                    break;
+                }
+                upload.wait_for_capacity(2).await?;
+                upload.write(&part);
+            }
+            upload.finish().await
+        })
+        .await?;
+        Ok(())
+    }
+
+    /// Copies a scene's file out of the store, and returns its hash.
+    pub async fn asset(&self, sha256: &str, file: &FilePath) -> Result<String, StoreError> {
+        let name = asset_path(sha256);
+        self.tried(|| async {
+            let mut target = tokio::fs::File::create(file).await.map_err(of_file)?;
+            let mut content = self.objects.get(&name).await?.into_stream();
+            let mut hasher = Sha256::new();
+            while let Some(piece) = content.next().await {
+                let piece = piece?;
+                hasher.update(&piece);
+                target.write_all(&piece).await.map_err(of_file)?;
+            }
+            target.flush().await.map_err(of_file)?;
+            Ok(crate::film::manifest::digits(&hasher.finalize()))
+        })
+        .await
+    }
+}
+
+fn of_file(error: std::io::Error) -> object_store::Error {
+    object_store::Error::Generic { store: "file", source: Box::new(error) }
+}
+
+/// Turns the error of a missing object into `None`.
+fn absent<T>(found: Result<T, StoreError>) -> Result<Option<T>, StoreError> {
+    match found {
+        Ok(value) => Ok(Some(value)),
+        Err(error) if error.is_missing() => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
+fn film_path(film: &str) -> Path {
+    Path::from("films").join(film)
+}
+
+fn frame_path(film: &str, tag: &str) -> Path {
+    film_path(film).join("frames").join(tag)
+}
+
+fn aside_path(film: &str, frame: u64) -> Path {
+    film_path(film).join("aside").join(frame.to_string())
+}
+
+fn asset_path(sha256: &str) -> Path {
+    Path::from("assets").join(sha256)
+}
+
+/// Appends the checksum of an image.
+fn seal(image: &[u8]) -> Bytes {
+    [image, &Sha256::digest(image)].concat().into()
+}
+
+/// Removes the checksum; `None` if it is not the image's.
+fn unseal(sealed: Bytes) -> Option<Bytes> {
+    let length = sealed.len().checked_sub(SUM)?;
+    let (image, sum) = (sealed.slice(..length), &sealed[length..]);
+    (Sha256::digest(&image)[..] == *sum).then_some(image)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn store() -> (tempfile::TempDir, Store) {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path().join("deep/store").to_str().unwrap()).unwrap();
+        (folder, store)
+    }
+
+    #[test]
+    fn damaged_frames_count_as_missing() {
+        let sealed = seal(b"image");
+        assert_eq!(unseal(sealed.clone()).unwrap(), b"image"[..]);
+        for length in 0..sealed.len() {
+            assert_eq!(unseal(sealed.slice(..length)), None, "{length}");
+        }
+        let mut other = sealed.to_vec();
+        other[2] ^= 1;
+        assert_eq!(unseal(other.into()), None);
+        assert_eq!(unseal(seal(b"")).unwrap(), b""[..]);
+    }
+
+    #[tokio::test]
+    async fn films_are_stored_listed_and_removed() {
+        let (folder, store) = store();
+        assert_eq!(store.order("f").await.unwrap(), None);
+        store.put_order("f", b"{}".to_vec()).await.unwrap();
+        assert_eq!(store.order("f").await.unwrap().unwrap(), b"{}"[..]);
+        store.put_frame("f", "aa", b"one").await.unwrap();
+        store.put_frame("other", "bb", b"two").await.unwrap();
+        assert!(store.has_frame("f", "aa").await.unwrap());
+        assert!(!store.has_frame("f", "bb").await.unwrap());
+        assert_eq!(store.frame("f", "aa").await.unwrap().unwrap(), b"one"[..]);
+        assert_eq!(store.frame("f", "bb").await.unwrap(), None);
+        for before in 0..4 {
+            assert_eq!(store.count_try("f", "0-3").await.unwrap(), before);
+        }
+        assert_eq!(store.count_try("f", "0-0").await.unwrap(), 0);
+        store.take_back_try("f", "0-3", 1).await.unwrap();
+        assert_eq!(store.count_try("f", "0-3").await.unwrap(), 1);
+        std::fs::write(folder.path().join("deep/store/films/f/frames/aa"), "on").unwrap();
+        assert_eq!(store.frame("f", "aa").await.unwrap(), None);
+        assert!(!store.has_frame("f", "aa").await.unwrap());
+        store.put_frame("f", "aa", b"one").await.unwrap();
+        store.set_aside("f", 7, "it burns").await.unwrap();
+        assert_eq!(store.why_aside("f", 7).await.unwrap().unwrap(), "it burns");
+        let listing = store.list("f").await.unwrap();
+        assert_eq!(listing, Listing { frames: vec!["aa".to_owned()], aside: vec![7] });
+        store.remove("f").await.unwrap();
+        assert_eq!(store.list("f").await.unwrap(), Listing::default());
+        assert_eq!(store.order("f").await.unwrap(), None);
+        assert!(store.has_frame("other", "bb").await.unwrap());
+        store.remove("f").await.unwrap();
+    }
+
+    #[tokio::test]
+    async fn assets_are_stored_once_and_checked() {
+        let (folder, store) = store();
+        let file = folder.path().join("big.ply");
+        let content: Vec<u8> = (0..PART + 12_345).map(|i| (i * 31 % 251) as u8).collect();
+        std::fs::write(&file, &content).unwrap();
+        let sha256 = crate::film::manifest::checksum(&content);
+        store.put_asset(&sha256, &file).await.unwrap();
+        // The second time, nothing is read.
+        store.put_asset(&sha256, FilePath::new("/no/such/file")).await.unwrap();
+        let copy = folder.path().join("copy.ply");
+        assert_eq!(store.asset(&sha256, &copy).await.unwrap(), sha256);
+        assert_eq!(std::fs::read(&copy).unwrap(), content);
+        let missing = store.asset("00", &copy).await.unwrap_err().to_string();
+        assert!(missing.starts_with("--store ") && missing.contains("assets/00"), "{missing}");
+    }
+}

@@ -1,0 +1,411 @@
+//! The worker's side: pulls runs, draws their frames and stores them.
+//!
+//! A worker draws one run at a time. While it does, it tells the broker every few seconds that it lives; a worker that is killed stops
+//! doing so, and the broker delivers the run to another one. A run may therefore be begun several times, and even be drawn by two workers at once:
+//! frames that are in the store are not drawn again, and equal frames have equal names.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use async_nats::jetstream::{AckKind, Message};
+use futures::{StreamExt, TryStreamExt, stream};
+use parking_lot::Mutex;
+use sha2::{Digest, Sha256};
+
+use super::broker::{Address, Broker, BrokerError, pull};
+use super::bundle::unpack;
+use super::messages::{Beat, Bundle, FilmOrder, Note, Run, beats, notes};
+use super::pacing::{ACK_WAIT, MOST_TRIES, Verdict, judge};
+use super::stopped;
+use super::store::{Store, StoreError};
+use crate::engine::{Client, Engine, EngineError, RequestId, Source};
+use crate::film::manifest::digits;
+use crate::film::{self, Drawn, Film, FilmError, Wanted};
+use crate::jobs::find_shots;
+
+/// Interval of beats.
+const BEAT: Duration = Duration::from_secs(1);
+/// Pause after the broker has failed, and while there is no consumer yet.
+const PAUSE: Duration = Duration::from_millis(500);
+/// Delay before a run that failed is delivered again.
+const AGAIN: Duration = Duration::from_secs(1);
+/// Time without a finished frame after which a worker stops telling the broker that it lives. Baking a large scene takes long.
+const STUCK: Duration = Duration::from_secs(1800);
+/// Operations of the store at a time.
+const STORES: usize = 8;
+/// Drawn frames that wait to be stored.
+const UNSTORED: usize = 4;
+
+/// A worker process.
+pub struct Worker {
+    broker: Broker,
+    store: Store,
+    engine: Engine,
+    kind: String,
+    name: String,
+    /// The engine's root. Each scene has its own folder there.
+    folder: PathBuf,
+    /// The hash of the bundle of each loaded scene.
+    scenes: tokio::sync::Mutex<HashMap<String, String>>,
+    state: Mutex<State>,
+}
+
+/// What the worker is doing.
+struct State {
+    busy: Option<(String, u64)>,
+    /// When the worker began to wait, or finished its latest frame.
+    since: Instant,
+}
+
+/// How work on a run ended, where it needs no other try.
+enum Ended {
+    /// All frames are in the store, or have been given up or passed on.
+    Done,
+    /// The film is over.
+    Over,
+}
+
+impl Worker {
+    /// Prepares a worker. The engine's root is `folder`, which the worker fills with scenes.
+    ///
+    /// # Errors
+    /// The broker's address cannot be used.
+    pub async fn new(
+        address: &Address,
+        store: Store,
+        engine: Engine,
+        folder: &Path,
+    ) -> Result<Worker, BrokerError> {
+        let name = format!("{}-{}", std::process::id(), RequestId::fresh());
+        let broker = Broker::connect(address, &format!("pointillist worker {name}")).await?;
+        Ok(Worker {
+            broker,
+            store,
+            kind: engine.identity(),
+            engine,
+            name,
+            folder: folder.to_owned(),
+            scenes: tokio::sync::Mutex::default(),
+            state: Mutex::new(State { busy: None, since: Instant::now() }),
+        })
+    }
+
+    /// Works until `stop` becomes true. A run that is not finished then goes back to the queue.
+    pub async fn run(self: Arc<Self>, stop: Arc<AtomicBool>) {
+        let beating = tokio::spawn(self.clone().beat());
+        let mut consumer = None;
+        while !stop.load(Ordering::Relaxed) {
+            let known = match &consumer {
+                Some(known) => known,
+                None => match self.broker.consumer(&self.kind).await {
+                    Ok(found) => consumer.insert(found),
+                    Err(error) => {
+                        tracing::debug!(%error, "no daemon has prepared the queue yet");
+                        tokio::time::sleep(PAUSE).await;
+                        continue;
+                    }
+                },
+            };
+            let pulled = tokio::select! {
+                pulled = pull(known) => pulled,
+                () = stopped(&stop) => break,
+            };
+            match pulled {
+                Ok(Some(message)) => self.work(&message, &stop).await,
+                Ok(None) => {}
+                Err(error) => {
+                    tracing::debug!(%error, "the broker gives no run");
+                    consumer = None;
+                    tokio::time::sleep(PAUSE).await;
+                }
+            }
+        }
+        beating.abort();
+        self.broker.flush().await;
+    }
+
+    async fn beat(self: Arc<Self>) {
+        let mut interval = tokio::time::interval(BEAT);
+        loop {
+            interval.tick().await;
+            let (busy, since) = {
+                let state = self.state.lock();
+                (state.busy.clone(), state.since)
+            };
+            let idle_ms = if busy.is_some() { 0 } else { since.elapsed().as_millis() as u64 };
+            let beat = Beat {
+                worker: self.name.clone(),
+                kind: self.kind.clone(),
+                adapter: self.engine.adapter(),
+                version: crate::VERSION.to_owned(),
+                busy,
+                idle_ms,
+            };
+            self.broker.tell(beats(&self.kind), &beat).await;
+        }
+    }
+
+    fn set_busy(&self, busy: Option<(String, u64)>) {
+        *self.state.lock() = State { busy, since: Instant::now() };
+    }
+
+    /// Works on the run of a message, and answers the message.
+    async fn work(&self, message: &Message, stop: &Arc<AtomicBool>) {
+        let Ok(run) = serde_json::from_slice::<Run>(&message.payload) else {
+            tracing::error!(
+                "a message is no run; another version of the program may have queued it"
+            );
+            self.answer(message, AckKind::Term).await;
+            return;
+        };
+        self.set_busy(Some((run.film.clone(), run.id)));
+        let ended = tokio::select! {
+            ended = self.attempt(&run, stop) => ended,
+            // This ends only with the process or when the run is stuck.
+            () = self.report_progress(message) => {
+                Err(format!("no frame was finished for {} seconds", STUCK.as_secs()))
+            }
+        };
+        self.clear_up(&run).await;
+        match ended {
+            Ok(Ended::Done) => self.answer(message, AckKind::Ack).await,
+            Ok(Ended::Over) => self.answer(message, AckKind::Term).await,
+            Err(_) if stop.load(Ordering::Relaxed) => {
+                self.answer(message, AckKind::Nak(None)).await;
+            }
+            Err(reason) => {
+                tracing::warn!(film = run.film, run = run.id, reason, "a run failed");
+                self.tell(&run, &Note::Failed { run: run.id, reason }).await;
+                self.answer(message, AckKind::Nak(Some(AGAIN))).await;
+            }
+        }
+        self.set_busy(None);
+    }
+
+    /// Removes what the run has stored after the daemon removed its film.
+    async fn clear_up(&self, run: &Run) {
+        let film = &run.film;
+        let removed = async {
+            match self.store.order(film).await? {
+                None => self.store.remove(film).await,
+                Some(_) => Ok(()),
+            }
+        };
+        if let Err(error) = removed.await {
+            tracing::warn!(film, %error, "cannot clear up after a film");
+        }
+    }
+
+    async fn tell(&self, run: &Run, note: &Note) {
+        self.broker.tell(notes(&run.film), note).await;
+    }
+
+    /// Answers a message. If the answer is lost, the broker delivers the run again, and its frames are found in the store.
+    async fn answer(&self, message: &Message, kind: AckKind) {
+        let answered = message.double_ack_with(kind);
+        match tokio::time::timeout(ACK_WAIT, answered).await {
+            Ok(Ok(())) => {}
+            Ok(Err(error)) => tracing::debug!(%error, "the broker did not confirm"),
+            Err(_) => tracing::debug!("the broker did not confirm in time"),
+        }
+    }
+
+    /// Tells the broker that the run is being worked on, until no frame is finished for long.
+    async fn report_progress(&self, message: &Message) {
+        while self.state.lock().since.elapsed() < STUCK {
+            tokio::time::sleep(ACK_WAIT / 3).await;
+            if let Err(error) = message.ack_with(AckKind::Progress).await {
+                tracing::debug!(%error, "the broker does not learn of progress");
+            }
+        }
+    }
+
+    /// Works on a run. The error is a reason for another try.
+    async fn attempt(&self, run: &Run, stop: &Arc<AtomicBool>) -> Result<Ended, String> {
+        let order = self.store.order(&run.film).await.map_err(text)?;
+        let Some(order) = order else { return Ok(Ended::Over) };
+        let order: FilmOrder = serde_json::from_slice(&order).map_err(text)?;
+        let begun = self.store.count_try(&run.film, &run.key()).await.map_err(text)?;
+        match judge(begun, run.frames.len()) {
+            Verdict::Draw => {}
+            Verdict::Split => {
+                tracing::warn!(
+                    film = run.film,
+                    run = run.id,
+                    "a run was not finished; it is split"
+                );
+                for one in run.split() {
+                    let id = format!("{}-{}-{}", run.film, run.id, one.key());
+                    self.broker.queue(&self.kind, &one, &id).await.map_err(text)?;
+                }
+                return Ok(Ended::Done);
+            }
+            Verdict::SetAside => {
+                let why = format!("it was begun {begun} times, and each time its worker ended");
+                self.set_aside(run, &why).await?;
+                return Ok(Ended::Done);
+            }
+        }
+        let drawn = self.draw(run, order, stop).await;
+        if stop.load(Ordering::Relaxed) {
+            // The try does not count: the worker was told to stop.
+            let _ = self.store.take_back_try(&run.film, &run.key(), begun).await;
+            return Err("the worker stops".to_owned());
+        }
+        match drawn {
+            Ok(()) => Ok(Ended::Done),
+            Err(why) if run.frames.len() == 1 && begun + 1 >= MOST_TRIES => {
+                self.set_aside(run, &why).await?;
+                Ok(Ended::Done)
+            }
+            Err(why) => Err(why),
+        }
+    }
+
+    async fn set_aside(&self, run: &Run, why: &str) -> Result<(), String> {
+        for Wanted { number, .. } in &run.frames {
+            tracing::error!(film = run.film, frame = number, why, "a frame is set aside");
+            self.store.set_aside(&run.film, *number, why).await.map_err(text)?;
+            self.tell(run, &Note::SetAside { run: run.id, frame: *number }).await;
+        }
+        Ok(())
+    }
+
+    /// Draws the frames of a run that are not in the store, and stores them.
+    async fn draw(
+        &self,
+        run: &Run,
+        order: FilmOrder,
+        stop: &Arc<AtomicBool>,
+    ) -> Result<(), String> {
+        let film = &run.film;
+        let look = |frame: Wanted| async move {
+            Ok::<_, StoreError>((self.store.has_frame(film, &frame.tag).await?, frame))
+        };
+        let found = stream::iter(run.frames.clone()).map(look).buffered(STORES);
+        let found: Vec<(bool, Wanted)> = found.try_collect().await.map_err(text)?;
+        let (there, missing): (Vec<_>, Vec<_>) = found.into_iter().partition(|(there, _)| *there);
+        for (_, frame) in there {
+            // The worker before may have died before it said so.
+            self.tell(run, &Note::Drawn { run: run.id, frame: frame.number }).await;
+        }
+        let missing: Vec<Wanted> = missing.into_iter().map(|(_, frame)| frame).collect();
+        if missing.is_empty() {
+            return Ok(());
+        }
+        self.open_scene(&order).await?;
+        die_at(&missing);
+        let began = Instant::now();
+        let drawn = missing.len() as u64;
+        let (sender, receiver) = flume::bounded::<Drawn>(UNSTORED);
+        let (engine, stop) = (self.engine.clone(), stop.clone());
+        let origin = RequestId::parse(&format!("film-{film}"));
+        let drawing = tokio::task::spawn_blocking(move || {
+            let spec = &order.spec;
+            let shots = find_shots(&engine, spec)?;
+            let unknown = || EngineError::UnknownScene { id: spec.scene.clone() };
+            let mark = engine.scene_mark(&spec.scene).ok_or_else(unknown)?;
+            let origin = crate::engine::Origin {
+                client: Client::Unnamed,
+                request_id: origin.unwrap_or_else(RequestId::fresh),
+            };
+            let film = Film {
+                engine: &engine,
+                request: spec.request(),
+                shots,
+                mark,
+                folder: Path::new(""),
+                origin,
+                most_pixels: film::MOST_PIXELS,
+                elsewhere: None,
+            };
+            film::draw_wanted(&film, &missing, &stop, |drawn| {
+                let gone = |_| FilmError::Elsewhere("the store takes no more frames".to_owned());
+                sender.send(drawn).map_err(gone)
+            })
+        });
+        let put = |drawn: Drawn| async move {
+            self.store.put_frame(film, &drawn.tag, &drawn.bytes).await.map_err(text)?;
+            self.state.lock().since = Instant::now();
+            self.tell(run, &Note::Drawn { run: run.id, frame: drawn.number }).await;
+            Ok::<(), String>(())
+        };
+        let stored = receiver.into_stream().map(put).buffer_unordered(STORES);
+        let stored = stored.try_for_each(|()| async { Ok(()) }).await;
+        let drawing = drawing.await.map_err(text)?;
+        // A frame that could not be stored ends the drawing as well, and is the reason.
+        stored?;
+        drawing.map_err(text)?;
+        let elapsed_ns = began.elapsed().as_nanos() as u64;
+        self.tell(run, &Note::Finished { run: run.id, drawn, elapsed_ns }).await;
+        Ok(())
+    }
+
+    /// Loads the scene of a film, unless it is loaded.
+    async fn open_scene(&self, order: &FilmOrder) -> Result<(), String> {
+        let id = &order.spec.scene;
+        let key = bundle_key(&order.scene)?;
+        let mut scenes = self.scenes.lock().await;
+        if scenes.get(id) == Some(&key) {
+            return Ok(());
+        }
+        self.forget(&mut scenes, |other| other == id).await;
+        let folder = self.folder.join(&key);
+        let source = unpack(&self.store, &order.scene, &folder).await.map_err(text)?;
+        let mut loaded = self.load(id, source.clone()).await;
+        if loaded.is_err() && !scenes.is_empty() {
+            // The scenes of other films may take the memory.
+            self.forget(&mut scenes, |_| true).await;
+            loaded = self.load(id, source).await;
+        }
+        if let Err(error) = loaded {
+            let _ = tokio::fs::remove_dir_all(&folder).await;
+            return Err(error);
+        }
+        scenes.insert(id.clone(), key);
+        Ok(())
+    }
+
+    async fn load(&self, id: &str, source: Source) -> Result<(), String> {
+        let (engine, id) = (self.engine.clone(), id.to_owned());
+        let load = move || engine.load_within(&id, &source, &engine.admission()).map(drop);
+        tokio::task::spawn_blocking(load).await.map_err(text)?.map_err(text)
+    }
+
+    /// Removes loaded scenes and their files.
+    async fn forget(&self, scenes: &mut HashMap<String, String>, which: impl Fn(&String) -> bool) {
+        let gone: Vec<String> = scenes.keys().filter(|id| which(id)).cloned().collect();
+        for id in gone {
+            let _ = self.engine.remove(&id);
+            if let Some(key) = scenes.remove(&id) {
+                let _ = tokio::fs::remove_dir_all(self.folder.join(key)).await;
+            }
+        }
+    }
+}
+
+fn text(error: impl std::fmt::Display) -> String {
+    error.to_string()
+}
+
+/// Hashes what a scene is made of.
+fn bundle_key(bundle: &Bundle) -> Result<String, String> {
+    let text = serde_json::to_vec(bundle).map_err(text)?;
+    Ok(digits(&Sha256::digest(text)[..16]))
+}
+
+/// Ends the process if it is about to draw the frame that `POINTILLIST_WORKER_DIES_AT` names, so that tests have a frame that kills workers.
+/// Release builds do not ask for the variable.
+fn die_at(frames: &[Wanted]) {
+    if !cfg!(debug_assertions) {
+        return;
+    }
+    let deadly = std::env::var("POINTILLIST_WORKER_DIES_AT").ok();
+    let deadly = deadly.and_then(|number| number.parse::<u64>().ok());
+    if deadly.is_some_and(|number| frames.iter().any(|frame| frame.number == number)) {
+        std::process::abort();
+    }
+}

@@ -1,0 +1,52 @@
+//! The interface to a service that draws frames of jobs in other processes.
+
+use std::sync::atomic::AtomicBool;
+
+use super::book::JobId;
+use super::spec::Spec;
+use crate::engine::{Engine, SceneFiles};
+use crate::film::{FilmError, Keep, Wanted};
+
+/// Frames of a job that are to be drawn.
+pub struct Order<'a> {
+    pub engine: &'a Engine,
+    pub job: JobId,
+    /// The job's specification, with everything decided that depends on more than one frame.
+    pub spec: Spec,
+    pub files: SceneFiles,
+    pub frames: Vec<Wanted>,
+}
+
+/// Numbers that tell how many workers are needed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Load {
+    /// Workers that can draw this server's frames, and others.
+    pub workers: u64,
+    pub other_workers: u64,
+    /// Runs that no worker has.
+    pub pending: u64,
+    /// Runs that workers have, and those of them that were delivered more than once.
+    pub drawing: u64,
+    pub redelivered: u64,
+    /// Frames that were set aside since the start of the process.
+    pub set_aside: u64,
+}
+
+/// Draws frames in other processes.
+pub trait Remote: Send + Sync {
+    /// Draws the frames of an order, and hands each to `keep` as soon as it is there, in any order. Blocks until all frames are
+    /// there or `stop` becomes true. `tell` is called with what the frames wait for, and with `None` when they go on.
+    ///
+    /// # Errors
+    /// An error of `keep`; [`FilmError::Elsewhere`] if frames cannot be drawn. The other frames are drawn first.
+    fn draw(
+        &self,
+        order: Order<'_>,
+        stop: &AtomicBool,
+        keep: &mut Keep<'_>,
+        tell: &dyn Fn(Option<String>),
+    ) -> Result<(), FilmError>;
+
+    /// Returns the latest numbers; at most a few seconds old.
+    fn load(&self) -> Load;
+}

@@ -1,0 +1,369 @@
+//! Films over a NATS server, drawn by worker processes: the same frames as one process draws, whatever is killed.
+//!
+//! Skipped with a message if there is no nats-server; `POINTILLIST_NATS_SERVER=required` makes that a failure. `scripts/setup-nats.sh`
+//! installs one.
+
+use std::fs::File;
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+
+use super::client::Client;
+use super::daemon::{Daemon, eventually};
+use super::jobs::{create, drawn, ended, job, manifest, name_path, post, when};
+
+/// Returns the NATS server program, if there is one.
+fn nats_server() -> Option<PathBuf> {
+    let works = |program: &PathBuf| {
+        let version = Command::new(program).arg("-v").stdout(Stdio::null()).status();
+        version.is_ok_and(|status| status.success())
+    };
+    let own = Path::new(env!("CARGO_MANIFEST_DIR")).join("target/nats/usr/sbin/nats-server");
+    let known = ["nats-server".into(), "/usr/sbin/nats-server".into(), own];
+    let found = known.into_iter().find(works);
+    if found.is_none() {
+        let required =
+            std::env::var("POINTILLIST_NATS_SERVER").is_ok_and(|value| value == "required");
+        assert!(!required, "POINTILLIST_NATS_SERVER=required, and there is no nats-server");
+        eprintln!("!! SKIPPED: no nats-server; scripts/setup-nats.sh installs one");
+    }
+    found
+}
+
+/// A NATS server, and the store of a cluster.
+struct Cluster {
+    program: PathBuf,
+    server: Child,
+    port: u16,
+    folder: tempfile::TempDir,
+    is_secured: bool,
+}
+
+impl Drop for Cluster {
+    fn drop(&mut self) {
+        let _ = self.server.kill();
+        let _ = self.server.wait();
+    }
+}
+
+fn serve_nats(program: &Path, port: u16, folder: &Path) -> Child {
+    let log = File::options().create(true).append(true).open(folder.join("nats.log")).unwrap();
+    let server = Command::new(program)
+        .args(["-a", "127.0.0.1", "-p", &port.to_string(), "-js", "-sd"])
+        .arg(folder.join("nats"))
+        .arg("-c")
+        .arg(folder.join("nats.conf"))
+        .stderr(log)
+        .spawn();
+    server.unwrap()
+}
+
+impl Cluster {
+    fn start() -> Option<Cluster> {
+        Cluster::start_with(false)
+    }
+
+    /// Starts a NATS server, which may be one with TLS and a password.
+    fn start_with(is_secured: bool) -> Option<Cluster> {
+        let program = nats_server()?;
+        let folder = tempfile::tempdir().unwrap();
+        let config = if is_secured {
+            let made = rcgen::generate_simple_self_signed(["localhost".to_owned()]).unwrap();
+            let [cert, key] = ["nats.pem", "nats.key"].map(|name| folder.path().join(name));
+            std::fs::write(&cert, made.cert.pem()).unwrap();
+            std::fs::write(&key, made.signing_key.serialize_pem()).unwrap();
+            format!(
+                "tls {{ cert_file: {cert:?}, key_file: {key:?} }}\n\
+                 authorization {{ users: [ {{ user: pointillist, password: secret }} ] }}\n"
+            )
+        } else {
+            String::new()
+        };
+        std::fs::write(folder.path().join("nats.conf"), config).unwrap();
+        // This port was free a moment ago.
+        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let server = serve_nats(&program, port, folder.path());
+        Some(Cluster { program, server, port, folder, is_secured })
+    }
+
+    fn kill_and_restart_broker(&mut self) {
+        self.server.kill().unwrap();
+        self.server.wait().unwrap();
+        self.server = serve_nats(&self.program, self.port, self.folder.path());
+    }
+
+    fn store(&self) -> PathBuf {
+        self.folder.path().join("store")
+    }
+
+    /// The flags of daemons and workers.
+    fn flags(&self) -> Vec<String> {
+        let port = self.port;
+        let path = |path: PathBuf| path.to_str().unwrap().to_owned();
+        let mut flags = vec!["--store".to_owned(), path(self.store()), "--nats".to_owned()];
+        if self.is_secured {
+            let ca = path(self.folder.path().join("nats.pem"));
+            let url = format!("tls://pointillist:secret@localhost:{port}");
+            flags.extend([url, "--nats-ca".to_owned(), ca]);
+        } else {
+            flags.push(format!("nats://127.0.0.1:{port}"));
+        }
+        flags
+    }
+
+    fn daemon(&self) -> Daemon {
+        let flags = self.flags();
+        Daemon::start_in(name_path, &flags.iter().map(String::as_str).collect::<Vec<_>>())
+    }
+
+    fn worker(&self, args: &[&str], environment: &[(&str, &str)]) -> Worker {
+        let number = std::fs::read_dir(self.folder.path()).unwrap().count();
+        let log = self.folder.path().join(format!("worker-{number}.log"));
+        let child = Command::new(env!("CARGO_BIN_EXE_pointillist"))
+            .arg("worker")
+            .args(self.flags())
+            .args(args)
+            .env("POINTILLIST_NO_CACHE", "true")
+            .env("POINTILLIST_NO_PRIME", "true")
+            .env("TMPDIR", self.folder.path())
+            .envs(environment.iter().copied())
+            .stdin(Stdio::null())
+            .stderr(File::create(&log).unwrap())
+            .spawn()
+            .unwrap();
+        Worker { child, log }
+    }
+
+    /// Files in the store below `films`.
+    fn films(&self) -> Vec<PathBuf> {
+        let mut folders = vec![self.store().join("films")];
+        let mut files = Vec::new();
+        while let Some(folder) = folders.pop() {
+            for item in std::fs::read_dir(folder).into_iter().flatten().map(|item| item.unwrap()) {
+                let list = if item.path().is_dir() { &mut folders } else { &mut files };
+                list.push(item.path());
+            }
+        }
+        files
+    }
+}
+
+/// A worker process.
+struct Worker {
+    child: Child,
+    log: PathBuf,
+}
+
+impl Worker {
+    fn kill(&mut self) {
+        let _ = self.child.kill();
+        self.child.wait().unwrap();
+    }
+
+    fn has_ended(&mut self) -> bool {
+        self.child.try_wait().unwrap().is_some()
+    }
+
+    fn log(&self) -> String {
+        std::fs::read_to_string(&self.log).unwrap_or_default()
+    }
+
+    /// Sends SIGTERM and waits for the end.
+    fn terminate(&mut self) -> bool {
+        let id = self.child.id().to_string();
+        assert!(Command::new("kill").args(["-TERM", &id]).status().unwrap().success());
+        let until = Instant::now() + Duration::from_secs(60);
+        loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                return status.success();
+            }
+            assert!(Instant::now() < until, "the worker does not end:\n{}", self.log());
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+}
+
+impl Drop for Worker {
+    fn drop(&mut self) {
+        self.kill();
+        if std::thread::panicking() {
+            eprintln!("log of a worker:\n{}", self.log());
+        }
+    }
+}
+
+/// The manifest of a job that one process has drawn.
+fn alone(more: Value) -> Vec<Value> {
+    let daemon = Daemon::start_in(name_path, &[]);
+    let client = daemon.client();
+    let id = create(&client, more);
+    ended(&client, &id, "done");
+    manifest(&client, &id)
+}
+
+/// Frames that take a while.
+fn slow() -> Value {
+    json!({ "w": 960, "h": 720, "fps": 20 })
+}
+
+/// Checks every frame of a finished job against its manifest.
+fn check_frames(client: &Client, id: &str, manifest: &[Value]) {
+    for record in manifest {
+        let frame = client.get(&format!("/v1/jobs/{id}/frames/{}", record["frame"]));
+        assert_eq!(frame.status, 200, "{record}");
+        assert_eq!(super::jobs::checksum(&frame.body), record["sha256"].as_str().unwrap());
+    }
+}
+
+#[test]
+fn workers_draw_what_one_process_draws() {
+    let Some(cluster) = Cluster::start() else { return };
+    let daemon = cluster.daemon();
+    let client = daemon.client();
+    let mut workers = [(); 3].map(|()| cluster.worker(&[], &[]));
+    let id = create(&client, json!({}));
+    let done = ended(&client, &id, "done");
+    assert_eq!(done["frames"]["done"], super::jobs::FRAMES, "{done}");
+    assert_eq!(done["waits_for"], Value::Null);
+    let together = manifest(&client, &id);
+    assert_eq!(together, alone(json!({})));
+    check_frames(&client, &id, &together);
+    assert_eq!(client.metric("pointillist_engine_frames_total"), 0.0, "the daemon draws no frame");
+    // Nothing of the film is left.
+    assert_eq!(cluster.films(), Vec::<PathBuf>::new());
+    for worker in &mut workers {
+        assert!(worker.terminate(), "{}", worker.log());
+    }
+}
+
+#[test]
+fn a_film_survives_kills_of_workers_daemon_and_broker() {
+    let Some(mut cluster) = Cluster::start() else { return };
+    let expected = alone(slow());
+    let mut daemon = cluster.daemon();
+    let flags = cluster.flags();
+    let mut workers = [(); 2].map(|()| cluster.worker(&[], &[]));
+    let id = create(&daemon.client(), slow());
+    drawn(&daemon.client(), &id, 3);
+    workers[0].kill();
+    workers[0] = cluster.worker(&[], &[]);
+    drawn(&daemon.client(), &id, 15);
+    daemon = daemon.kill_and_restart(&flags.iter().map(String::as_str).collect::<Vec<_>>());
+    drawn(&daemon.client(), &id, 25);
+    cluster.kill_and_restart_broker();
+    drawn(&daemon.client(), &id, 40);
+    workers.iter_mut().for_each(Worker::kill);
+    workers[1] = cluster.worker(&[], &[]);
+    ended(&daemon.client(), &id, "done");
+    let together = manifest(&daemon.client(), &id);
+    assert_eq!(together, expected);
+    check_frames(&daemon.client(), &id, &together);
+}
+
+#[test]
+fn a_frame_that_kills_workers_is_set_aside() {
+    let Some(cluster) = Cluster::start() else { return };
+    let daemon = cluster.daemon();
+    let client = daemon.client();
+    let deadly = [("POINTILLIST_WORKER_DIES_AT", "7")];
+    let mut worker = cluster.worker(&[], &deadly);
+    let mut deaths = 0;
+    let id = create(&client, json!({ "to": 19 }));
+    let until = Instant::now() + Duration::from_secs(240);
+    let failed = loop {
+        let found = job(&client, &id);
+        if !["queued", "running"].contains(&found["state"].as_str().unwrap()) {
+            break found;
+        }
+        if worker.has_ended() {
+            deaths += 1;
+            worker = cluster.worker(&[], &deadly);
+        }
+        assert!(Instant::now() < until, "{found}\n{}", worker.log());
+        std::thread::sleep(Duration::from_millis(20));
+    };
+    assert_eq!((failed["state"].as_str(), deaths), (Some("failed"), 4), "{failed}");
+    let detail = failed["error"]["detail"].as_str().unwrap();
+    assert!(detail.starts_with("frame 7 is set aside: it was begun 3 times"), "{detail}");
+    // All other frames are there.
+    assert_eq!(failed["frames"]["done"], 19, "{failed}");
+    // A worker that survives the frame finishes the job.
+    worker.kill();
+    let _worker = cluster.worker(&[], &[]);
+    assert_eq!(post(&client, &format!("/v1/jobs/{id}/resume")).status, 200);
+    ended(&client, &id, "done");
+    assert_eq!(manifest(&client, &id), alone(json!({ "to": 19 })));
+}
+
+#[test]
+fn workers_of_another_kind_draw_nothing() {
+    let Some(cluster) = Cluster::start() else { return };
+    let daemon = cluster.daemon();
+    let client = daemon.client();
+    let id = create(&client, json!({}));
+    let says =
+        |job: &Value, what: &str| job["waits_for"].as_str().is_some_and(|text| text.contains(what));
+    when(&client, &id, "a word about workers", |job| says(job, "there are no workers"));
+    let _other = cluster.worker(&["--force-32-bit"], &[]);
+    let waiting = when(&client, &id, "a word about others", |job| says(job, "only others: 1 with"));
+    assert_eq!((&waiting["state"], &waiting["frames"]["done"]), (&json!("running"), &json!(0)));
+    let _right = cluster.worker(&[], &[]);
+    let done = ended(&client, &id, "done");
+    assert_eq!(done["waits_for"], Value::Null);
+}
+
+#[test]
+fn a_cancelled_film_leaves_queue_and_store() {
+    let Some(cluster) = Cluster::start() else { return };
+    let daemon = cluster.daemon();
+    let client = daemon.client();
+    let _worker = cluster.worker(&[], &[]);
+    let id = create(&client, slow());
+    drawn(&client, &id, 2);
+    assert_eq!(post(&client, &format!("/v1/jobs/{id}/cancel")).status, 200);
+    // The queue is free for another film, and the first one leaves nothing but what was being drawn.
+    let other = create(&client, json!({ "to": 9 }));
+    ended(&client, &other, "done");
+    ended(&client, &id, "cancelled");
+    eventually("an empty store", || cluster.films().is_empty());
+    assert_eq!(post(&client, &format!("/v1/jobs/{id}/resume")).status, 200);
+    ended(&client, &id, "done");
+    assert_eq!(manifest(&client, &id), alone(slow()));
+}
+
+#[test]
+fn a_patched_scene_is_drawn_by_the_daemon() {
+    let Some(cluster) = Cluster::start() else { return };
+    let daemon = cluster.daemon();
+    let client = daemon.client();
+    let patch = json!({ "translate": [0.5, 0, 0] });
+    let patched = client.send(
+        "PATCH",
+        "/v1/scenes/grid/nodes/wall",
+        &[("content-type", "application/json")],
+        Some(patch.to_string().as_bytes()),
+    );
+    assert_eq!(patched.status, 200, "{}", patched.text());
+    // There are no workers.
+    let id = create(&client, json!({ "to": 3 }));
+    ended(&client, &id, "done");
+}
+
+#[test]
+fn a_broker_may_ask_for_tls_and_a_password() {
+    let Some(cluster) = Cluster::start_with(true) else { return };
+    let daemon = cluster.daemon();
+    let client = daemon.client();
+    let _worker = cluster.worker(&[], &[]);
+    let id = create(&client, json!({ "to": 19 }));
+    ended(&client, &id, "done");
+    let load =
+        |state: &str| client.metric(&format!("pointillist_worker_runs{{state=\"{state}\"}}"));
+    eventually("an empty queue", || load("pending") + load("drawing") == 0.0);
+    eventually("a worker", || client.metric("pointillist_workers{kind=\"this\"}") == 1.0);
+    assert_eq!(client.metric("pointillist_workers{kind=\"another\"}"), 0.0);
+    assert_eq!(client.metric("pointillist_frames_set_aside_total"), 0.0);
+}
