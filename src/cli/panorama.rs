@@ -266,8 +266,8 @@ fn direction(place: DVec2, [width, height]: [u32; 2]) -> DVec3 {
 fn on_face(direction: DVec3, side: u32) -> (usize, DVec2) {
     let ahead = |face: &Face| direction.dot(face.axes[2]);
     let mut best = 0;
-    for number in 1..FACES.len() {
-        if ahead(&FACES[number]) > ahead(&FACES[best]) {
+    for (number, face) in FACES.iter().enumerate() {
+        if ahead(face) > ahead(&FACES[best]) {
             best = number;
         }
     }

@@ -69,7 +69,10 @@ fn signed(args: &SignArgs, secret: &Secret, now: SystemTime) -> anyhow::Result<S
         path.starts_with("/v1/") && is_address,
         "{address}: expected the address of something below /v1/, percent-encoded and without a fragment"
     );
-    ensure!(!is_signed(Some(query)), "{address}: it is signed already");
+    ensure!(
+        !is_signed(query),
+        "{address}: it has a signature, or terms of one (`signed_…`), already"
+    );
     let until = end(&args.expires, now)?;
     let terms = Terms {
         key: key.clone(),

@@ -4,11 +4,11 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use super::Engine;
 use super::frame_job::FrameJob;
-use super::queue::Client;
+use super::queue::{Client, Waiting};
 use super::resolved::ResolvedFrame;
 use super::state::{EngineState, Schedule};
+use super::{Engine, EngineError};
 
 impl EngineState {
     /// A job that was taken has had nothing of the device.
@@ -30,9 +30,7 @@ impl EngineState {
             queue.landed(client, now);
             let measured_ns = *measured_ns;
             queue.settle(client, charged_ns, measured_ns.unwrap_or(charged_ns));
-            if let Some(ns) = measured_ns {
-                self.tell_spent(client, Duration::from_nanos(ns));
-            }
+            self.tell_spent(client, Duration::from_nanos(measured_ns.unwrap_or(charged_ns)));
             cost_ns += measured_ns.unwrap_or(charged_ns);
             if let Some(ns) = measured_ns {
                 costs.measured(job.frame.cost_key, ns);
@@ -41,14 +39,24 @@ impl EngineState {
         costs.landed(cost_ns, took);
     }
 
-    /// Charges the client of a frame that was ended before it was done for the time that it took until then.
-    pub fn settle_given_up(&self, job: &FrameJob, took: Duration) {
+    /// Charges the client of a frame that was ended before it was done for the time that it took until then. If somebody has joined it
+    /// meanwhile, it waits for another turn.
+    pub fn settle_given_up(&self, job: &Arc<FrameJob>, took: Duration) {
         self.stats.given_up.fetch_add(1, Ordering::Relaxed);
+        if !job.is_abandoned() {
+            if let Some((client, _)) = job.charged() {
+                self.tell_spent(client, took);
+            }
+            return self.put_back(vec![job.clone()]);
+        }
         let Some((client, charged_ns)) = job.settle() else { return };
         let mut schedule = self.schedule.lock();
         schedule.queue.landed(client, Instant::now());
         schedule.queue.settle(client, charged_ns, took.as_nanos() as u64);
+        drop(schedule);
         self.tell_spent(client, took);
+        // Who joins it now asks again.
+        self.answer(job, Err(EngineError::Busy { retry_after: Duration::ZERO }));
     }
 
     /// Tells the observer of device time that a caller's frame has taken.

@@ -92,6 +92,11 @@ impl FrameJob {
         (Arc::new(job), receiver)
     }
 
+    /// Returns whether the frame is drawn in several parts.
+    pub fn is_long(&self) -> bool {
+        !self.frame.exposures.is_empty()
+    }
+
     /// Returns the client in whose lane the frame waits or waited.
     pub fn lane(&self) -> Client {
         self.turn.lock().lane

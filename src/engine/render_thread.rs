@@ -138,9 +138,19 @@ fn serve(state: &Arc<EngineState>, renderer: &mut Renderer, encoders: &Encoders)
         state.beat(!work.batch.is_empty() || !flights.is_empty());
         let idle = work.batch.is_empty();
         if !idle {
-            let batch = make_resident(state, renderer, work.batch);
+            let batch = apart(state, work.batch);
+            let batch = make_resident(state, renderer, batch);
+            if batch.iter().any(|job| job.is_long()) {
+                // Nobody else's frames wait for all exposures.
+                if let Some(lost) =
+                    land_all(state, renderer, &mut flights, encoders, &mut last_landed)
+                {
+                    retry(state, [lost, batch].concat());
+                    return Stop::Lost;
+                }
+            }
             if !batch.is_empty() {
-                match renderer.submit(batch) {
+                match renderer.submit(batch, &|| state.beat(true)) {
                     Ok(flight) => flights.push_back(flight),
                     Err((jobs, error)) => {
                         for job in jobs {
@@ -179,6 +189,40 @@ fn serve(state: &Arc<EngineState>, renderer: &mut Renderer, encoders: &Encoders)
             }
         }
     }
+}
+
+/// Lands all submissions. Returns the jobs to draw again if the device is lost.
+fn land_all(
+    state: &EngineState,
+    renderer: &mut Renderer,
+    flights: &mut VecDeque<InFlight>,
+    encoders: &Encoders,
+    last_landed: &mut Instant,
+) -> Option<Vec<Arc<FrameJob>>> {
+    let (mut again, mut is_lost) = (Vec::new(), false);
+    for flight in flights.drain(..) {
+        let (jobs, lost) = land(state, renderer, flight, encoders, last_landed);
+        again.extend(jobs);
+        is_lost |= lost;
+    }
+    if is_lost {
+        return Some(again);
+    }
+    retry(state, again);
+    None
+}
+
+/// Takes frames of several exposures out of a batch with others, so that nobody waits for all of them; they come next. If such a frame is
+/// the first, it is drawn by itself, and the others come next.
+fn apart(state: &EngineState, batch: Vec<Arc<FrameJob>>) -> Vec<Arc<FrameJob>> {
+    let mut batch = batch.into_iter();
+    let Some(first) = batch.next() else { return Vec::new() };
+    let (now, later): (Vec<_>, Vec<_>) = match first.is_long() {
+        true => (Vec::new(), batch.collect()),
+        false => batch.partition(|job| !job.is_long()),
+    };
+    state.put_back(later);
+    std::iter::once(first).chain(now).collect()
 }
 
 /// Submissions that have not landed.
@@ -251,8 +295,6 @@ fn land(
     state.settle(&costs, took);
     for job in landed.given_up {
         state.settle_given_up(&job, took);
-        // Whoever has joined it meanwhile asks again.
-        state.answer(&job, Err(EngineError::Busy { retry_after: Duration::ZERO }));
     }
     for drawn in landed.drawn {
         encoders.push(drawn);

@@ -192,15 +192,16 @@ impl Renderer {
         self.binds.borrow_mut().clear();
     }
 
-    /// Records and submits frames of resident scenes.
+    /// Records and submits frames of resident scenes. `alive` is called whenever a part of a long frame has ended.
     ///
     /// # Errors
     /// The whole batch, with the reason.
     pub fn submit(
         &mut self,
         jobs: Vec<Arc<FrameJob>>,
+        alive: &dyn Fn(),
     ) -> Result<InFlight, (Vec<Arc<FrameJob>>, EngineError)> {
-        let submitted = self.try_submit(jobs);
+        let submitted = self.try_submit(jobs, alive);
         if submitted.is_err() {
             // Maps that a failed submission reserved may be empty.
             self.shadow_maps.clear();
@@ -211,13 +212,14 @@ impl Renderer {
     fn try_submit(
         &mut self,
         jobs: Vec<Arc<FrameJob>>,
+        alive: &dyn Fn(),
     ) -> Result<InFlight, (Vec<Arc<FrameJob>>, EngineError)> {
         let began = Instant::now();
         let span = batch_span(&jobs);
         let entered = span.enter();
         let mut timer = self.timers.pop().unwrap_or_else(|| Timer::new(&self.gpu));
         timer.reset();
-        let mut commands = Commands::new(self.gpu.clone());
+        let mut commands = Commands::new(self.gpu.clone(), alive);
         let groups = groups(&jobs, |job| job.group_key(), |job| self.most_views(job));
         let tasks: Vec<Vec<FrameTask>> = groups.iter().map(|group| self.tasks(group)).collect();
         let mut uniforms = Uniforms::default();
@@ -430,7 +432,7 @@ impl Renderer {
     /// submitted part by part, until nobody waits for the frame any more.
     fn record_group(
         &mut self,
-        commands: &mut Commands,
+        commands: &mut Commands<'_>,
         timer: &mut Timer,
         tasks: &[FrameTask],
         offsets: &[passes::GroupUniforms],
@@ -512,16 +514,18 @@ struct Recorded {
 }
 
 /// The commands of a batch. Parts of it may be submitted before the others are recorded.
-struct Commands {
+struct Commands<'a> {
     gpu: Arc<Gpu>,
     encoder: wgpu::CommandEncoder,
     /// The part that was submitted last.
     flying: Option<wgpu::SubmissionIndex>,
     /// When the first part was submitted.
     submitted: Option<Instant>,
+    /// Is called whenever a part has ended.
+    alive: &'a dyn Fn(),
 }
 
-impl Commands {
+impl<'a> Commands<'a> {
     /// Longest wait for a part; a device that needs longer for it is waited for at the end.
     const PATIENCE: Duration = Duration::from_secs(30);
 
@@ -530,8 +534,8 @@ impl Commands {
         gpu.device.create_command_encoder(&label)
     }
 
-    fn new(gpu: Arc<Gpu>) -> Commands {
-        Commands { encoder: Commands::encoder(&gpu), gpu, flying: None, submitted: None }
+    fn new(gpu: Arc<Gpu>, alive: &'a dyn Fn()) -> Commands<'a> {
+        Commands { encoder: Commands::encoder(&gpu), gpu, flying: None, submitted: None, alive }
     }
 
     /// Submits what is recorded, and waits for the part before it: one is drawn while the next is recorded.
@@ -545,6 +549,7 @@ impl Commands {
                 submission_index: before,
                 timeout: Some(Commands::PATIENCE),
             });
+            (self.alive)();
         }
     }
 

@@ -14,6 +14,7 @@ use super::loaded::Loaded;
 use super::planner::PlannedFrame;
 use super::queue::cost::CostKey;
 use super::receipt::CameraReceipt;
+use super::viewpoint::whole_size;
 use crate::math::{Bounds, View};
 use crate::plan::auto::Choice;
 use crate::plan::shadow::light_views;
@@ -95,6 +96,13 @@ impl ResolvedFrame {
     /// Returns the entity tag; `None` for a frame that will change once normals and kernels are estimated.
     pub fn final_etag(&self) -> Option<&str> {
         self.provisional.is_none().then_some(&self.key)
+    }
+
+    /// Returns the pixels of the whole image that the frame is a part of, or of the frame, times their parts and exposures.
+    pub fn pixels_in_all(&self) -> u64 {
+        let (width, height) = whole_size(&self.request);
+        let (parts, exposures) = (self.drawing.settings.parts(), self.exposures.len().max(1));
+        [width, height, parts, parts, exposures as u32].map(u64::from).iter().product()
     }
 
     /// Returns the camera from which the frame is seen.

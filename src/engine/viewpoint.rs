@@ -43,7 +43,7 @@ pub fn clip_region(
 }
 
 /// Size of the image that the pose shows: that of the frame, or of the image that the frame is a part of.
-fn whole_size(request: &FrameRequest) -> (u32, u32) {
+pub fn whole_size(request: &FrameRequest) -> (u32, u32) {
     let of = request.settings.part_of;
     of.map_or((request.width, request.height), |part| (part.width, part.height))
 }

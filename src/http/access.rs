@@ -80,16 +80,23 @@ pub enum Access {
 /// Why a request is refused.
 #[derive(Debug)]
 pub struct Refused {
-    pub problem: Problem,
+    pub problem: Box<Problem>,
     /// Name of the key, if it is one of the file.
     pub key: Option<String>,
     /// Whether a key was sent that is not in the file.
     pub is_guess: bool,
 }
 
+impl ApiKey {
+    /// Hashes of what lets requests of this key in.
+    pub fn credentials(&self) -> [Option<[u8; 32]>; 2] {
+        [Some(self.hash), self.url_secret.as_ref().map(Secret::digest)]
+    }
+}
+
 impl From<Problem> for Refused {
     fn from(problem: Problem) -> Refused {
-        Refused { problem, key: None, is_guess: false }
+        Refused { problem: Box::new(problem), key: None, is_guess: false }
     }
 }
 
@@ -191,6 +198,10 @@ impl Access {
                 Ok(None)
             }
             Access::Keys(keys) => match Claim::read(uri.query()) {
+                Some(_) if method != Method::GET && method != Method::HEAD => {
+                    let detail = "a signed address only reads, with GET; changes need a key";
+                    Err(Problem::new(Kind::Forbidden, detail).into())
+                }
                 Some(claim) => check_signed(keys, scope, uri.path(), route, claim?).map(Some),
                 None => check_key(keys, scope, route, headers).map(Some),
             },
@@ -279,9 +290,13 @@ fn check_key<'a>(
     }
     let Some(granted) = granted else {
         let problem = unauthorized("the key is not known");
-        return Err(Refused { problem, key: None, is_guess: true });
+        return Err(Refused { problem: Box::new(problem), key: None, is_guess: true });
     };
-    let refused = |problem| Refused { problem, key: Some(granted.name.clone()), is_guess: false };
+    let refused = |problem| Refused {
+        problem: Box::new(problem),
+        key: Some(granted.name.clone()),
+        is_guess: false,
+    };
     if has_passed(granted.expires) {
         return Err(refused(unauthorized("the key has expired")));
     }
@@ -290,7 +305,8 @@ fn check_key<'a>(
             format!("the key's scope is {:?}, but this operation needs {scope:?}", granted.scope);
         return Err(refused(Problem::new(Kind::Forbidden, detail.to_lowercase())));
     }
-    Ok(Admitted { key: granted, caps: Caps::default(), is_signed: false })
+    let caps = Caps { credential: Some(granted.hash), ..Caps::default() };
+    Ok(Admitted { key: granted, caps, is_signed: false })
 }
 
 fn has_passed(end: Option<SystemTime>) -> bool {
@@ -315,10 +331,15 @@ fn check_signed<'a>(
     };
     let Some(key) = keys.iter().find(signed_with) else {
         let problem = unauthorized("the signature is not that of this address");
-        return Err(Refused { problem, key: None, is_guess: true });
+        return Err(Refused { problem: Box::new(problem), key: None, is_guess: true });
     };
-    let refused = |problem| Refused { problem, key: Some(key.name.clone()), is_guess: false };
-    let caps = claim.terms.caps();
+    let refused = |problem| Refused {
+        problem: Box::new(problem),
+        key: Some(key.name.clone()),
+        is_guess: false,
+    };
+    let credential = key.url_secret.as_ref().map(Secret::digest);
+    let caps = Caps { credential, ..claim.terms.caps() };
     if has_passed(caps.until) {
         return Err(refused(unauthorized("this signed address has expired")));
     }

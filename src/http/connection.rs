@@ -43,8 +43,8 @@ pub struct Doorkeeper {
     /// Permits for connections beyond the limit that may be health probes.
     pub probes: Arc<Semaphore>,
     pub read_timeout: Duration,
-    /// Whether connections speak TLS if the server has a certificate.
-    pub speaks_tls: bool,
+    /// Whether this is the main listener: its connections speak TLS if the server has a certificate, and each address may have so many.
+    pub is_main: bool,
 }
 
 /// Longest time for a TLS handshake.
@@ -62,9 +62,9 @@ impl<S: Send + 'static> Accept<TcpStream, S> for Doorkeeper {
 
     fn accept(&self, mut stream: TcpStream, service: S) -> Self::Future {
         let place = self.places.clone().try_acquire_owned().ok();
-        let place = place.and_then(|place| Place::take(&self.app, &stream, place));
-        let Doorkeeper { app, probes, read_timeout, speaks_tls, .. } = self.clone();
-        let tls = app.rules.read().tls.clone().filter(|_| speaks_tls);
+        let place = place.and_then(|place| Place::take(&self.app, &stream, place, self.is_main));
+        let Doorkeeper { app, probes, read_timeout, is_main, .. } = self.clone();
+        let tls = app.rules.read().tls.clone().filter(|_| is_main);
         Box::pin(async move {
             let Some(place) = place else {
                 if tls.is_some() {
@@ -109,11 +109,17 @@ struct Place {
 
 impl Place {
     /// Returns `None` when the address has as many connections as it may have.
-    fn take(app: &Arc<App>, stream: &TcpStream, place: OwnedSemaphorePermit) -> Option<Place> {
+    fn take(
+        app: &Arc<App>,
+        stream: &TcpStream,
+        place: OwnedSemaphorePermit,
+        counts_addresses: bool,
+    ) -> Option<Place> {
         let peer = stream.peer_addr().ok().map(|peer| peer.ip());
         let proxies = &app.settings.edge.trusted_proxies;
-        let address =
-            peer.filter(|peer| !address::is_trusted(*peer, proxies)).map(address::network);
+        let address = peer
+            .filter(|peer| counts_addresses && !address::is_trusted(*peer, proxies))
+            .map(address::network);
         if address.is_some_and(|address| !app.connections.take(address)) {
             return None;
         }

@@ -21,12 +21,13 @@ use utoipa::ToSchema;
 
 use super::access::signed::Caps;
 use super::frame::{choose_format, missing, receipt_headers, resolve, wait};
-use super::limits::Standing;
+use super::limits::{LONGEST_PAUSE, Standing};
 use super::params::FrameParams;
 use super::problem::{Kind, PROBLEM_JSON, Problem};
-use super::{App, Caller, NoQuery, Segments, body};
+use super::{App, Caller, NoQuery, Phase, Segments, body};
 use crate::encode::ImageFormat;
 use crate::engine::{Client, EncodedFrame, EngineError, FrameTicket, Origin, RequestId};
+use crate::memory::Reservation;
 
 /// Largest body in bytes.
 const MAX_BODY_BYTES: u64 = 16 << 20;
@@ -66,7 +67,7 @@ pub struct FramesRequest {
 )]
 pub async fn frames(
     State(app): State<Arc<App>>,
-    Extension(Caller(client, _)): Extension<Caller>,
+    Extension(Caller(client, caps)): Extension<Caller>,
     Extension(request_id): Extension<RequestId>,
     Segments(id): Segments<String>,
     _: NoQuery,
@@ -89,6 +90,8 @@ pub async fn frames(
     let longest = app.engine.limits().max_side;
     defaults.check()?;
     defaults.check_sides(longest)?;
+    let bytes = request.poses.len() * size_of::<FrameParams>();
+    admission.grow("poses", bytes as u64).map_err(EngineError::from)?;
     let poses = request.poses.into_iter().enumerate();
     let poses: Result<Vec<FrameParams>, Problem> =
         poses.map(|(index, pose)| read_pose(index, pose, longest)).collect();
@@ -97,7 +100,10 @@ pub async fn frames(
     let boundary = boundary();
     let content_type = format!("multipart/mixed; boundary={boundary}");
     let headers = image_ranges(&headers);
-    let batch = Batch { app, client, request_id, id, defaults, headers, poses };
+    // What the body took besides is released.
+    admission.shrink_to(bytes as u64);
+    let held = admission.keep(bytes as u64);
+    let batch = Batch { app, client, caps, request_id, id, defaults, headers, poses, _held: held };
     let mut response = Response::new(Body::from_stream(parts(batch, boundary)));
     let content_type = HeaderValue::from_str(&content_type).map_err(Problem::internal)?;
     response.headers_mut().insert(header::CONTENT_TYPE, content_type);
@@ -150,6 +156,9 @@ struct Batch {
     defaults: FrameParams,
     headers: HeaderMap,
     poses: Vec<FrameParams>,
+    caps: Caps,
+    /// Memory of the poses.
+    _held: Reservation,
 }
 
 impl Batch {
@@ -166,18 +175,30 @@ impl Batch {
         self.request_id.part(index as u64)
     }
 
-    /// Returns whether the client's key has GPU time left for another pose. If `waits`, returns only when it has, or when the key is
-    /// no longer known.
-    async fn has_time(&self, waits: bool) -> bool {
-        const LONGEST_PAUSE: Duration = Duration::from_secs(1);
-        while let Standing::Spent(wait) = self.app.standing(self.client, &Caps::default()) {
-            if !waits {
-                return false;
+    /// Returns whether another pose may be drawn; `None` where the client's key has no GPU time left now. If `waits`, waits for that,
+    /// as long as a client waits for a frame.
+    ///
+    /// # Errors
+    /// The key was removed or has expired, or has had no time for that long.
+    async fn may_draw(&self, waits: bool) -> Option<Result<(), Problem>> {
+        let end = Instant::now() + self.app.settings.frame_timeout;
+        loop {
+            match self.app.standing(self.client, &self.caps) {
+                Standing::Good => return Some(Ok(())),
+                Standing::Gone => {
+                    let detail = "the key was removed or has expired";
+                    return Some(Err(Problem::new(Kind::Unauthorized, detail)));
+                }
+                Standing::Spent(_) if !waits => return None,
+                Standing::Spent(wait)
+                    if Instant::now() >= end || self.app.phase() == Phase::Draining =>
+                {
+                    let detail = "this key has used its GPU time a minute";
+                    return Some(Err(Problem::new(Kind::DeviceQuota, detail).retry_after(wait)));
+                }
+                Standing::Spent(wait) => tokio::time::sleep(wait.min(LONGEST_PAUSE)).await,
             }
-            // A reload may give the key more time.
-            tokio::time::sleep(wait.min(LONGEST_PAUSE)).await;
         }
-        true
     }
 
     /// Queues a pose. Returns `None` when the queue is full and `wait_for_place` is false.
@@ -223,10 +244,18 @@ fn parts(
         let mut pending: VecDeque<Result<Promised, Problem>> = VecDeque::new();
         let mut held: Option<(FrameParams, ImageFormat)> = None;
         let mut next = 0;
-        for index in 0..batch.poses.len() {
+        for index in 0.. {
             while pending.len() < window && next < batch.poses.len() {
-                if !batch.has_time(pending.is_empty()).await {
-                    break;
+                match batch.may_draw(pending.is_empty()).await {
+                    None => break,
+                    Some(Ok(())) => {}
+                    Some(Err(problem)) => {
+                        // No later pose would fare better.
+                        pending.push_back(Err(problem));
+                        batch.poses.truncate(next + 1);
+                        next = batch.poses.len();
+                        continue;
+                    }
                 }
                 let pose = match held.take().map_or_else(|| batch.pose(next), Ok) {
                     Ok(pose) => pose,

@@ -39,6 +39,7 @@ pub async fn gate(State(app): State<Arc<App>>, mut request: Request, next: Next)
         request_id: id.clone(),
         key: OnceLock::new(),
         is_let_in: AtomicBool::new(false),
+        is_signed: AtomicBool::new(false),
         address: peer.map(|peer| address::of_client(peer, request.headers(), proxies)),
         method: method.clone(),
         route,
@@ -82,7 +83,9 @@ impl Pending<'_> {
         let line = self.asked.line(Some(status), made);
         let is_refused = response.extensions_mut().remove::<WrongKey>().is_some();
         if is_refused || status == 403 {
-            self.app.audit(&line.clone().event("refused"));
+            if self.app.limits.tells_refusal(self.asked.address, Instant::now()) {
+                self.app.audit(&line.clone().event("refused"));
+            }
         } else if status < 400 && self.may_change() {
             self.app.audit(&line.clone().event("change"));
         }
@@ -188,6 +191,7 @@ fn admit(app: &App, asked: &Asked, request: &Request) -> Result<(Caller, Owner),
     };
     // Nobody else sets it.
     let _ = asked.key.set(key.name.clone());
+    asked.is_signed.store(is_signed, Ordering::Relaxed);
     let number = app.number_of(key);
     app.limits.admit_key(number, &key.quotas, access::draws(route), now)?;
     let is_admin = key.scope == access::Scope::Admin && !is_signed;
@@ -213,5 +217,5 @@ fn deny(app: &App, asked: &Asked, refused: Refused) -> Denied {
     if is_guess {
         tracing::warn!(request_id = %asked.request_id, address = ?from, route = asked.route, "wrong API key");
     }
-    Denied { problem, is_audited }
+    Denied { problem: *problem, is_audited }
 }

@@ -9,7 +9,7 @@ use std::io::{self, Write};
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::pin::Pin;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, OnceLock};
 use std::task::{Context, Poll};
@@ -31,16 +31,17 @@ const MOST_WAITING: usize = 8192;
 /// A file, or standard output, to which a thread appends lines.
 #[derive(Debug)]
 pub struct Journal {
-    path: PathBuf,
     orders: SyncSender<Order>,
     lost: Counter,
+    /// Whether the file is to be opened anew before the next line.
+    is_moved: Arc<AtomicBool>,
 }
 
 /// What the thread of a log does next.
 enum Order {
     Write(Vec<u8>),
-    /// Lines follow in another file, or in a new one of the same name; `None` for standard output.
-    Use(Option<File>),
+    /// Nothing: there may be something else to do.
+    Look,
     /// Tells that all lines before are written.
     Tell(SyncSender<()>),
 }
@@ -69,30 +70,60 @@ fn line_of(value: &impl Serialize) -> Option<Vec<u8>> {
     Some(line)
 }
 
-/// Carries out orders until the log is dropped.
-fn run(path: &Path, mut file: Option<File>, orders: &Receiver<Order>, lost: &Counter) {
-    let mut told = 0;
-    let write = |file: &mut Option<File>, line: &[u8]| {
-        if let Err(error) = append(file, line) {
-            lost.inc();
-            tracing::error!(%error, path = %path.display(), "cannot write the log file");
-        }
-    };
-    while let Ok(order) = orders.recv() {
-        match order {
-            Order::Write(line) => write(&mut file, &line),
-            Order::Use(other) => file = other,
-            // Whoever waits may have given up.
-            Order::Tell(done) => drop(done.try_send(())),
-        }
-        let count = lost.get();
-        if count > told {
+/// What the thread of a log works with.
+struct Writer {
+    path: PathBuf,
+    file: Option<File>,
+    orders: Receiver<Order>,
+    lost: Counter,
+    is_moved: Arc<AtomicBool>,
+    /// Whether the last line may be there in part.
+    is_torn: bool,
+}
+
+impl Writer {
+    /// Carries out orders until the log is dropped.
+    fn run(mut self) {
+        let mut told = 0;
+        while let Ok(order) = self.orders.recv() {
+            if self.is_moved.swap(false, Ordering::Relaxed) {
+                self.open_anew();
+            }
+            match order {
+                Order::Write(line) if !self.append(&line) => {
+                    self.lost.inc();
+                    continue;
+                }
+                Order::Write(_) | Order::Look => {}
+                // Whoever waits may have given up.
+                Order::Tell(done) => drop(done.try_send(())),
+            }
+            let count = self.lost.get();
             let gap = Gap { time: now(), event: "lines-lost", count: count - told };
-            told = count;
-            if let Some(line) = line_of(&gap) {
-                write(&mut file, &line);
+            if count > told && line_of(&gap).is_some_and(|line| self.append(&line)) {
+                told = count;
             }
         }
+    }
+
+    fn open_anew(&mut self) {
+        match open(&self.path) {
+            Ok(file) => (self.file, self.is_torn) = (file, false),
+            Err(error) => {
+                tracing::error!(%error, path = %self.path.display(), "cannot reopen the log file");
+            }
+        }
+    }
+
+    /// Appends a line. Returns whether it is written.
+    fn append(&mut self, line: &[u8]) -> bool {
+        let begun = if self.is_torn { [b"\n", line].concat() } else { line.to_vec() };
+        let written = append(&mut self.file, &begun);
+        self.is_torn = written.is_err();
+        if let Err(error) = written {
+            tracing::error!(%error, path = %self.path.display(), "cannot write the log file");
+        }
+        !self.is_torn
     }
 }
 
@@ -117,23 +148,24 @@ impl Journal {
         let file = open(path)?;
         let (orders, received) = sync_channel(most_waiting);
         let lost = Counter::default();
-        let (own_path, own_lost) = (path.to_owned(), lost.clone());
-        std::thread::Builder::new()
-            .name("log".to_owned())
-            .spawn(move || run(&own_path, file, &received, &own_lost))?;
-        Ok(Journal { path: path.to_owned(), orders, lost })
+        let is_moved = Arc::new(AtomicBool::new(false));
+        let writer = Writer {
+            path: path.to_owned(),
+            file,
+            orders: received,
+            lost: lost.clone(),
+            is_moved: is_moved.clone(),
+            is_torn: false,
+        };
+        std::thread::Builder::new().name("log".to_owned()).spawn(move || writer.run())?;
+        Ok(Journal { orders, lost, is_moved })
     }
 
-    /// Opens the file anew. If that fails, the open file stays in use.
+    /// Has the file opened anew before the next line, by the log's thread. If that fails, the open file stays in use.
     pub fn reopen(&self) {
-        let used = open(&self.path).and_then(|file| {
-            self.orders
-                .try_send(Order::Use(file))
-                .map_err(|_| io::Error::other("too many lines wait"))
-        });
-        if let Err(error) = used {
-            tracing::error!(%error, path = %self.path.display(), "cannot reopen the log file");
-        }
+        self.is_moved.store(true, Ordering::Relaxed);
+        // If lines wait, there is no need.
+        let _ = self.orders.try_send(Order::Look);
     }
 
     /// Appends a value as one line of JSON, without waiting until it is written.
@@ -187,6 +219,9 @@ pub struct Line {
     request_id: String,
     /// Name of the key.
     key: Option<String>,
+    /// Whether the key itself did not come, but an address that it has signed.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    signed: bool,
     address: Option<IpAddr>,
     method: String,
     route: &'static str,
@@ -214,6 +249,8 @@ pub struct Asked {
     pub key: OnceLock<String>,
     /// Whether the request has passed the access rules and the rates.
     pub is_let_in: AtomicBool,
+    /// Whether it came by an address that the key has signed.
+    pub is_signed: AtomicBool,
     pub address: Option<IpAddr>,
     pub method: Method,
     pub route: &'static str,
@@ -239,6 +276,7 @@ impl Asked {
             time: now(),
             request_id: self.request_id.to_string(),
             key: self.key.get().cloned(),
+            signed: self.is_signed.load(Ordering::Relaxed),
             address: self.address,
             method: self.method.as_str().chars().take(16).collect(),
             route: self.route,
@@ -348,6 +386,7 @@ mod tests {
         Asked {
             request_id: RequestId::fresh(),
             is_let_in: AtomicBool::new(true),
+            is_signed: AtomicBool::new(false),
             key: key.map_or_else(OnceLock::new, |key| OnceLock::from(key.to_owned())),
             address: Some("192.0.2.1".parse().unwrap()),
             method: Method::GET,

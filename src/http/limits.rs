@@ -12,6 +12,7 @@ use std::time::{Duration, Instant, SystemTime};
 use parking_lot::{Mutex, RwLock};
 
 use super::access::Quotas;
+use super::access::signed::Caps;
 use super::address;
 use super::bucket::{Rate, Table};
 use super::problem::{Kind, Problem};
@@ -23,12 +24,17 @@ const WRONG_KEYS: Rate = Rate { per_second: 0.5, burst: 20.0 };
 /// Seconds of its rate that a client may use at once.
 const BURST_SECONDS: f64 = 2.0;
 
+/// Longest time for which a client that has no GPU time left sleeps before it looks again: a reload may have changed its limits.
+pub const LONGEST_PAUSE: Duration = Duration::from_secs(1);
+
 /// What is known of a key that is in force.
 #[derive(Clone, Copy, Debug)]
 pub struct Holder {
     pub quotas: Quotas,
     /// Time from which the key is refused.
     pub expires: Option<SystemTime>,
+    /// Hashes of what lets its requests in.
+    pub credentials: [Option<[u8; 32]>; 2],
 }
 
 /// Whether a client that has been let in may go on.
@@ -37,7 +43,7 @@ pub enum Standing {
     Good,
     /// Its key has no GPU time left for so long.
     Spent(Duration),
-    /// Its key was removed, or has expired.
+    /// Its key was removed or changed, or has expired.
     Gone,
 }
 
@@ -48,6 +54,8 @@ pub struct Limits {
     holders: RwLock<Option<HashMap<u64, Holder>>>,
     by_address: Mutex<Table<IpAddr>>,
     wrong_keys: Mutex<Table<IpAddr>>,
+    /// Refusals of which the audit log tells.
+    told: Mutex<Table<IpAddr>>,
     by_key: Mutex<Table<u64>>,
     /// In milliseconds of GPU time.
     device: Mutex<Table<u64>>,
@@ -71,6 +79,7 @@ impl Limits {
             holders: RwLock::new(None),
             by_address: Mutex::new(Table::new(MOST_BUCKETS)),
             wrong_keys: Mutex::new(Table::new(MOST_BUCKETS)),
+            told: Mutex::new(Table::new(MOST_BUCKETS)),
             by_key: Mutex::new(Table::new(MOST_BUCKETS)),
             device: Mutex::new(Table::new(MOST_BUCKETS)),
         }
@@ -120,6 +129,12 @@ impl Limits {
         })
     }
 
+    /// Returns whether the audit log is to tell of a refusal: of as many as wrong keys are looked at.
+    pub fn tells_refusal(&self, from: Option<IpAddr>, now: Instant) -> bool {
+        let Some(from) = from else { return true };
+        self.told.lock().bucket(address::network(from), WRONG_KEYS, now).take(now).is_ok()
+    }
+
     /// Counts a request of a key, given the number of its client. `draws` tells whether the request uses the GPU.
     ///
     /// # Errors
@@ -158,15 +173,19 @@ impl Limits {
     }
 
     /// Returns whether the client of a key may go on with what it was let in for.
-    pub fn standing(&self, key: u64, now: Instant, time: SystemTime) -> Standing {
+    pub fn standing(&self, key: u64, caps: &Caps, now: Instant, time: SystemTime) -> Standing {
+        if has_passed(caps.until, time) {
+            return Standing::Gone;
+        }
         let holder = match &*self.holders.read() {
             None => return Standing::Good,
             Some(holders) => holders.get(&key).copied(),
         };
-        let Some(holder) = holder.filter(|holder| holder.expires.is_none_or(|end| end > time))
-        else {
+        let Some(holder) = holder else { return Standing::Gone };
+        let is_known = caps.credential.is_none() || holder.credentials.contains(&caps.credential);
+        if !is_known || has_passed(holder.expires, time) {
             return Standing::Gone;
-        };
+        }
         let Some(ms) = holder.quotas.device_ms_per_minute else { return Standing::Good };
         let mut table = self.device.lock();
         match table.bucket(key, device_rate(ms), now).check(now) {
@@ -174,6 +193,10 @@ impl Limits {
             Err(wait) => Standing::Spent(wait),
         }
     }
+}
+
+fn has_passed(end: Option<SystemTime>, time: SystemTime) -> bool {
+    end.is_some_and(|end| end <= time)
 }
 
 fn too_many(rate: Rate, whose: &str, wait: Duration) -> Problem {
@@ -193,7 +216,10 @@ mod tests {
     /// Limits with one key, `1`.
     fn with_key(quotas: Quotas, expires: Option<SystemTime>) -> Limits {
         let limits = Limits::new(None);
-        limits.set_holders(Some(HashMap::from([(1, Holder { quotas, expires })])));
+        limits.set_holders(Some(HashMap::from([(
+            1,
+            Holder { quotas, expires, credentials: [Some([1; 32]), None] },
+        )])));
         limits
     }
 
@@ -221,6 +247,15 @@ mod tests {
     }
 
     #[test]
+    fn few_refusals_are_told() {
+        let (limits, start) = (Limits::new(None), Instant::now());
+        let told = (0..99).filter(|_| limits.tells_refusal(Some(A), start)).count();
+        assert_eq!(told, 20);
+        assert!(limits.tells_refusal(Some(B), start));
+        assert!(limits.tells_refusal(Some(A), start + Duration::from_secs(2)));
+    }
+
+    #[test]
     fn requests_are_limited_by_address_and_by_key() {
         let (limits, start) = (Limits::new(Some(5.0)), Instant::now());
         let let_in = |from| (0..99).filter(|_| limits.admit_address(from, start).is_ok()).count();
@@ -243,13 +278,13 @@ mod tests {
         // 101 ms at 10 ms a second.
         assert_eq!((refused.status(), refused.retry_after_ms), (429, Some(10_100)));
         assert!(limits.admit_key(1, &quotas, false, start).is_ok(), "requests that draw nothing");
-        assert!(matches!(limits.standing(1, start, time), Standing::Spent(_)));
+        assert!(matches!(limits.standing(1, &Caps::default(), start, time), Standing::Spent(_)));
         // A reload that lifts the quota lets open streams go on at once.
-        let holder = Holder { quotas: Quotas::default(), expires: None };
+        let holder = Holder { quotas: Quotas::default(), expires: None, credentials: [None; 2] };
         limits.set_holders(Some(HashMap::from([(1, holder)])));
-        assert_eq!(limits.standing(1, start, time), Standing::Good);
+        assert_eq!(limits.standing(1, &Caps::default(), start, time), Standing::Good);
         limits.charge(1, Duration::from_secs(9), start);
-        assert_eq!(limits.standing(1, start, time), Standing::Good);
+        assert_eq!(limits.standing(1, &Caps::default(), start, time), Standing::Good);
     }
 
     #[test]
@@ -258,17 +293,24 @@ mod tests {
         let quotas = Quotas { device_ms_per_minute: Some(100), ..Quotas::default() };
         let limits = with_key(quotas, None);
         limits.charge(1, Duration::from_millis(200), start);
-        assert!(matches!(limits.standing(1, start, time), Standing::Spent(_)));
+        assert!(matches!(limits.standing(1, &Caps::default(), start, time), Standing::Spent(_)));
     }
 
     #[test]
     fn keys_that_are_removed_or_expire_have_no_standing() {
         let (start, time) = (Instant::now(), SystemTime::now());
         let limits = with_key(Quotas::default(), Some(time + Duration::from_secs(5)));
-        assert_eq!(limits.standing(1, start, time), Standing::Good);
-        assert_eq!(limits.standing(1, start, time + Duration::from_secs(5)), Standing::Gone);
-        assert_eq!(limits.standing(2, start, time), Standing::Gone);
+        assert_eq!(limits.standing(1, &Caps::default(), start, time), Standing::Good);
+        assert_eq!(
+            limits.standing(1, &Caps::default(), start, time + Duration::from_secs(5)),
+            Standing::Gone
+        );
+        assert_eq!(limits.standing(2, &Caps::default(), start, time), Standing::Gone);
+        let of = |caps: Caps| limits.standing(1, &caps, start, time);
+        let credential = |byte: u8| Caps { credential: Some([byte; 32]), ..Caps::default() };
+        assert_eq!((of(credential(1)), of(credential(2))), (Standing::Good, Standing::Gone));
+        assert_eq!(of(Caps { until: Some(time), ..Caps::default() }), Standing::Gone);
         limits.set_holders(None);
-        assert_eq!(limits.standing(2, start, time), Standing::Good);
+        assert_eq!(limits.standing(2, &Caps::default(), start, time), Standing::Good);
     }
 }

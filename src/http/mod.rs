@@ -91,7 +91,7 @@ use self::access::{Quotas, Reread, Rules};
 use self::journal::{Journal, Notice};
 use self::limits::{Holder, Limits, Standing};
 use crate::accuracy::service::Surveys;
-use crate::engine::{Client, Engine, EngineError, ResolvedFrame};
+use crate::engine::{Client, Engine, ResolvedFrame};
 use crate::jobs::Jobs;
 
 /// Configuration of the HTTP side.
@@ -226,13 +226,9 @@ impl App {
         }
     }
 
-    /// Opens the logs anew, and reads keys and certificates again. Each is put in force by itself: if one of them cannot be used, it
+    /// Reads keys and certificates again, and has the logs opened anew. Each is put in force by itself: if one of them cannot be used, it
     /// stays as it was.
     pub fn reload(&self) {
-        let edge = &self.settings.edge;
-        for journal in edge.access_log.iter().chain(&edge.audit_log) {
-            journal.reopen();
-        }
         let Reread { access, tls } = &self.settings.reread;
         if access.is_none() && tls.is_none() {
             tracing::info!("no API keys or certificates to read again");
@@ -249,6 +245,10 @@ impl App {
                 read.0().map(|tls| self.put_in_force(|rules| Rules { tls: Some(tls), ..rules }));
             self.tell_reload("certificates", "certificates", read);
         }
+        let edge = &self.settings.edge;
+        for journal in edge.access_log.iter().chain(&edge.audit_log) {
+            journal.reopen();
+        }
     }
 
     fn put_in_force(&self, change: impl FnOnce(Rules) -> Rules) {
@@ -262,7 +262,11 @@ impl App {
             access::Access::Open { .. } => None,
             access::Access::Keys(keys) => {
                 let holder = |key: &access::ApiKey| {
-                    (self.number_of(key), Holder { quotas: key.quotas, expires: key.expires })
+                    let (quotas, expires) = (key.quotas, key.expires);
+                    (
+                        self.number_of(key),
+                        Holder { quotas, expires, credentials: key.credentials() },
+                    )
                 };
                 Some(keys.iter().map(holder).collect::<HashMap<_, _>>())
             }
@@ -299,28 +303,27 @@ impl App {
 
     /// Returns whether a client that has been let in may go on drawing.
     pub(crate) fn standing(&self, client: Client, caps: &Caps) -> Standing {
-        if caps.until.is_some_and(|end| end <= SystemTime::now()) {
-            return Standing::Gone;
-        }
         let Some(number) = client.owner() else { return Standing::Good };
-        self.limits.standing(number, Instant::now(), SystemTime::now())
+        self.limits.standing(number, caps, Instant::now(), SystemTime::now())
     }
 
     /// Refuses a frame that is larger or dearer than a signed address allows.
     pub(crate) fn check_caps(&self, caps: &Caps, frame: &ResolvedFrame) -> Result<(), Problem> {
-        let over = |what, found, limit, parameter| {
-            Err(EngineError::OverLimit { what, found, limit, parameter }.into())
+        let over = |what: &str, found: u64, most: u64| {
+            let detail = format!("this signed address allows {most} {what} a frame, not {found}");
+            Problem::new(problem::Kind::OverLimit, detail)
+                .at("signature")
+                .accepted(format!("at most {most} {what}"))
         };
-        let request = &frame.request;
-        let pixels = u64::from(request.width) * u64::from(request.height);
+        let pixels = frame.pixels_in_all();
         if let Some(most) = caps.pixels.filter(|most| pixels > *most) {
-            return over("pixels of a frame by this signed address", pixels, most, Some("w"));
+            return Err(over("pixels, with all their parts and exposures,", pixels, most));
         }
         let Some(most) = caps.device_ms else { return Ok(()) };
         let estimate = self.engine.estimated_cost(frame);
         let found = u64::try_from(estimate.as_nanos().div_ceil(1_000_000)).unwrap_or(u64::MAX);
         match found > most {
-            true => over("estimated GPU milliseconds by this signed address", found, most, None),
+            true => Err(over("estimated milliseconds of GPU time", found, most)),
             false => Ok(()),
         }
     }

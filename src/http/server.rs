@@ -165,7 +165,7 @@ fn with_limits(
     app: &Arc<App>,
     listener: TcpListener,
     places: usize,
-    speaks_tls: bool,
+    is_main: bool,
 ) -> std::io::Result<Server<SocketAddr, Doorkeeper>> {
     let read_timeout = app.settings.read_timeout;
     let acceptor = Doorkeeper {
@@ -173,7 +173,7 @@ fn with_limits(
         places: Arc::new(Semaphore::new(places)),
         probes: Arc::new(Semaphore::new(PROBES)),
         read_timeout,
-        speaks_tls,
+        is_main,
     };
     let mut server = axum_server::from_tcp(listener)?.acceptor(acceptor);
     let builder = server.http_builder();

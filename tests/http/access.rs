@@ -213,6 +213,21 @@ fn gpu_time_is_charged_for_what_is_drawn() {
     });
     assert_eq!(reply.status, 200);
     assert_eq!(reply.text().matches("content-type: image/png").count(), 60);
+    // A key that is removed gets no more poses.
+    std::fs::write(&keys, poor("device-ms-per-minute = 1").concat()).unwrap();
+    hang_up(daemon.id());
+    eventually("a limit once more", || limit("poor") == Some(1));
+    let reply = std::thread::scope(|scope| {
+        let asked =
+            || send(&client, "poor", "POST", "/v1/scenes/grid/frames", Some(many.as_bytes()));
+        let asked = scope.spawn(asked);
+        eventually("the end of its time", is_spent);
+        std::fs::write(&keys, table("free", "read", "")).unwrap();
+        hang_up(daemon.id());
+        asked.join().unwrap().text()
+    });
+    assert!(reply.contains("urn:pointillist:problem:unauthorized"), "{reply}");
+    assert!(reply.matches("content-type: image/png").count() < 60);
 }
 
 #[test]
@@ -498,6 +513,7 @@ fn signed_addresses_work_without_a_key() {
     };
     assert_eq!(stream(&[]).err(), Some(403));
     let mut stream = stream(&["--open", "--max-pixels", "4096"]).ok().unwrap();
+    stream.patience(std::time::Duration::from_secs(60));
     let pose = |seq: u32, side: u32| serde_json::json!({"seq": seq, "camera": "front", "w": side, "h": side});
     stream.send(pose(1, 65));
     let problem = loop {
@@ -509,7 +525,7 @@ fn signed_addresses_work_without_a_key() {
             other => panic!("{other:?}"),
         }
     };
-    assert_eq!(problem["problem"]["type"], "urn:pointillist:problem:over-limit", "{problem}");
+    assert_eq!(problem["type"], "urn:pointillist:problem:over-limit", "{problem}");
     stream.send(pose(2, 64));
     while !matches!(stream.next(), Came::Frame { .. }) {}
     // An address ends with its secret.

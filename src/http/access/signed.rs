@@ -2,7 +2,8 @@
 //!
 //! The holder of a key's URL secret signs an address offline (`pointillist sign`). The signature is the HMAC-SHA256 (RFC 2104) of
 //! the path and of the query before it, so that nobody can change what was signed. A query is `OWN&signed_by=ID&signed_until=SECONDS`,
-//! then optionally `&signed_pixels=N&signed_ms=N&signed_open=1`, then `&signature=HEX`. After the signature of an open address whoever
+//! then optionally `&signed_pixels=N&signed_ms=N&signed_open=1`, then `&signature=HEX`. Terms are those from the last `signed_by` on: a
+//! parameter of such a name before it is none, and no handler knows it. After the signature of an open address whoever
 //! has it may add parameters; names that were signed may not come twice.
 //!
 //! A signed address reads what the key may read. Its requests count as the key's: they share its rates and quotas, and end with it.
@@ -12,18 +13,27 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use axum::http::Uri;
 use ring::hmac;
+use sha2::{Digest, Sha256};
 
+use super::super::params::pairs;
 use super::super::problem::{Kind, Problem};
 
 /// Prefix of what is signed, so that a secret that is used for something else as well signs nothing here.
 const PURPOSE: &str = "pointillist-url-1";
 const SIGNATURE: &str = "signature";
+/// Prefix of the names of terms; the first one is the key's.
+const TERM: &str = "signed_";
+const FIRST: &str = "signed_by=";
 /// Length of the shortest secret, in bytes.
 const LEAST_BYTES: usize = 32;
 
 /// The secret with which addresses are signed.
 #[derive(Clone)]
-pub struct Secret(hmac::Key);
+pub struct Secret {
+    key: hmac::Key,
+    /// Tells whether two secrets are the same.
+    digest: [u8; 32],
+}
 
 impl std::fmt::Debug for Secret {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -35,12 +45,21 @@ impl Secret {
     /// Reads a secret from hexadecimal digits, at least 64.
     pub fn from_hex(hex: &str) -> Option<Secret> {
         let bytes = bytes_of(hex)?;
-        (bytes.len() >= LEAST_BYTES).then(|| Secret(hmac::Key::new(hmac::HMAC_SHA256, &bytes)))
+        (bytes.len() >= LEAST_BYTES).then(|| Secret {
+            key: hmac::Key::new(hmac::HMAC_SHA256, &bytes),
+            digest: Sha256::digest(&bytes).into(),
+        })
+    }
+}
+
+impl Secret {
+    pub fn digest(&self) -> [u8; 32] {
+        self.digest
     }
 }
 
 fn bytes_of(hex: &str) -> Option<Vec<u8>> {
-    if hex.len() % 2 != 0 || !hex.bytes().all(|byte| byte.is_ascii_hexdigit()) {
+    if !hex.len().is_multiple_of(2) || !hex.bytes().all(|byte| byte.is_ascii_hexdigit()) {
         return None;
     }
     let pairs = hex.as_bytes().chunks_exact(2);
@@ -52,9 +71,11 @@ pub fn is_plain(id: &str) -> bool {
     !id.is_empty() && id.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"-._".contains(&byte))
 }
 
-/// What limits the requests of a signed address; `None` for no limit.
+/// What limits a request beside its key's quotas; `None` for no limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Caps {
+    /// Hash of the key, or of the URL secret, that let it in. Streams end when the key file has it no more.
+    pub credential: Option<[u8; 32]>,
     /// Time from which it is refused, and its streams end.
     pub until: Option<SystemTime>,
     /// Pixels of a frame.
@@ -81,7 +102,7 @@ impl Terms {
         let until = UNIX_EPOCH.checked_add(Duration::from_secs(self.until));
         // A time that the clock cannot tell has passed.
         let until = Some(until.unwrap_or(UNIX_EPOCH));
-        Caps { until, pixels: self.pixels, device_ms: self.device_ms }
+        Caps { credential: None, until, pixels: self.pixels, device_ms: self.device_ms }
     }
 }
 
@@ -106,7 +127,7 @@ pub fn sign(path: &str, query: &str, terms: &Terms, secret: &Secret) -> String {
     if *is_open {
         signed.push_str("&signed_open=1");
     }
-    let tag = hmac::sign(&secret.0, text(path, &signed).as_bytes());
+    let tag = hmac::sign(&secret.key, text(path, &signed).as_bytes());
     let _ = write!(signed, "&{SIGNATURE}=");
     for byte in tag.as_ref() {
         let _ = write!(signed, "{byte:02x}");
@@ -124,9 +145,10 @@ pub struct Claim<'a> {
     pub query: String,
 }
 
-/// Returns whether a query has a signature.
-pub fn is_signed(query: Option<&str>) -> bool {
-    find(query).is_some()
+/// Returns whether a query has a signature or a term of one, also where these are percent-encoded.
+pub fn is_signed(query: &str) -> bool {
+    let is_one = |(name, _): &(String, String)| name == SIGNATURE || name.starts_with(TERM);
+    pairs(Some(query)).is_ok_and(|pairs| pairs.iter().any(is_one))
 }
 
 /// Splits a query into what is signed, the signature, and what comes behind it.
@@ -155,10 +177,13 @@ impl<'a> Claim<'a> {
     }
 
     fn of(signed: &'a str, signature: &'a str, behind: &str) -> Result<Claim<'a>, Problem> {
-        let mut own: Vec<&str> = Vec::new();
+        let parts: Vec<&str> = signed.split('&').filter(|part| !part.is_empty()).collect();
+        let first = parts.iter().rposition(|part| part.starts_with(FIRST)).unwrap_or(0);
+        let (own, terms) = parts.split_at(first);
+        let mut own = own.to_vec();
         let (mut key, mut until, mut pixels, mut device_ms, mut open) =
             (None, None, None, None, None);
-        for part in signed.split('&').filter(|part| !part.is_empty()) {
+        for part in terms {
             let (name, value) = part.split_once('=').unwrap_or((part, ""));
             let number = || {
                 let bad = || malformed(name, "a whole number");
@@ -170,10 +195,7 @@ impl<'a> Claim<'a> {
                 "signed_pixels" => pixels.replace(number()?).is_some(),
                 "signed_ms" => device_ms.replace(number()?).is_some(),
                 "signed_open" => open.replace(number()? == 1).is_some(),
-                _ => {
-                    own.push(part);
-                    false
-                }
+                _ => return Err(malformed(name, "no parameters between the terms")),
             };
             if is_again {
                 return Err(malformed(name, "to be given once"));
@@ -196,7 +218,7 @@ impl<'a> Claim<'a> {
     pub fn is_signed_with(&self, secret: &Secret, path: &str) -> bool {
         let Some(tag) = bytes_of(self.signature) else { return false };
         // In constant time.
-        hmac::verify(&secret.0, text(path, self.signed).as_bytes(), &tag).is_ok()
+        hmac::verify(&secret.key, text(path, self.signed).as_bytes(), &tag).is_ok()
     }
 }
 
@@ -296,11 +318,25 @@ mod tests {
             "signature=00",
             "signed_by=a&signature=00",
             "signed_by=a&signed_until=soon&signature=00",
-            "signed_by=a&signed_by=b&signed_until=1&signature=00",
+            "signed_by=a&signed_until=1&signed_until=2&signature=00",
+            "signed_by=a&w=9&signed_until=1&signature=00",
             "signed_by=a&signed_until=-1&signature=00",
         ] {
             assert_eq!(claim(query).err().unwrap().status(), 401, "{query}");
         }
+    }
+
+    /// Whoever proposes an address to be signed cannot choose its terms.
+    #[test]
+    fn planted_terms_are_none() {
+        for planted in ["signed_open=1&w=9", "signed_by=studio&signed_until=9&signed_open=1"] {
+            let query = sign(PATH, planted, &terms(), &secret("a"));
+            let claim = claim(&query).unwrap();
+            assert_eq!((&claim.terms, claim.query.as_str()), (&terms(), planted));
+            assert!(is_signed(planted));
+        }
+        assert!(is_signed("w=9&signed%5Fopen=1") && is_signed("%73ignature=1"));
+        assert!(!is_signed("w=9&design=1"));
     }
 
     #[test]

@@ -171,6 +171,8 @@ fn signed_addresses_read_and_nothing_else() {
     assert_eq!(status(&Method::GET, frame, path, 1_000_000_000, false), Err(401));
     assert_eq!(status(&Method::GET, frame, path, u64::MAX, false), Err(401), "no such time");
     assert_eq!(status(&Method::DELETE, "/v1/scenes/{id}", "/v1/scenes/a", later, false), Err(403));
+    let (frames, many) = ("/v1/scenes/{id}/frames", "/v1/scenes/a/frames");
+    assert_eq!(status(&Method::POST, frames, many, later, true), Err(403), "a body is not signed");
     assert_eq!(status(&Method::GET, STREAM, "/v1/scenes/a/stream", later, false), Err(403));
     assert_eq!(status(&Method::GET, STREAM, "/v1/scenes/a/stream", later, true), Ok(Some(5)));
 }

@@ -48,7 +48,7 @@ const RETRY: Duration = Duration::from_secs(2);
 )]
 pub async fn events(
     State(app): State<Arc<App>>,
-    Extension(Caller(client, _)): Extension<Caller>,
+    Extension(Caller(client, caps)): Extension<Caller>,
     Extension(owner): Extension<Owner>,
     Segments(id): Segments<String>,
     uri: Uri,
@@ -63,7 +63,7 @@ pub async fn events(
         // An `EventSource` takes this status for the end; after any other it would reconnect for ever.
         return Ok(StatusCode::NO_CONTENT.into_response());
     }
-    let told = told(jobs, job_id(&id)?, known, Watcher::take(&app, client)?);
+    let told = told(jobs, job_id(&id)?, known, Watcher::take(&app, client, &caps)?);
     let mut response =
         Sse::new(told).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)).into_response();
     // Some proxies buffer answers before they forward them.

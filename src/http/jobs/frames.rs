@@ -233,7 +233,7 @@ pub async fn manifest(
 )]
 pub async fn multipart(
     State(app): State<Arc<App>>,
-    Extension(Caller(client, _)): Extension<Caller>,
+    Extension(Caller(client, caps)): Extension<Caller>,
     Extension(owner): Extension<Owner>,
     Segments(id): Segments<String>,
     method: Method,
@@ -262,7 +262,7 @@ pub async fn multipart(
             id: job_id(&id)?,
             content_type: media_type(view.record.spec.frame.format),
         };
-        let watcher = Watcher::take(&app, client)?;
+        let watcher = Watcher::take(&app, client, &caps)?;
         Body::from_stream(parts(film, from, boundary, watcher))
     };
     let mut response = Response::new(body);

@@ -1,12 +1,13 @@
 //! Limits on answers that last as long as a job: how many there may be, and for how long.
 
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use tokio::time::Instant;
 
 use crate::engine::Client;
 use crate::http::App;
+use crate::http::access::signed::Caps;
 use crate::http::headcount::Headcount;
 use crate::http::problem::{Kind, Problem};
 
@@ -38,13 +39,15 @@ pub struct Watcher {
 impl Watcher {
     /// # Errors
     /// 503 when the limit is reached.
-    pub fn take(app: &Arc<App>, client: Client) -> Result<Watcher, Problem> {
+    pub fn take(app: &Arc<App>, client: Client, caps: &Caps) -> Result<Watcher, Problem> {
         if !app.watchers.take(client) {
             return Err(Problem::new(Kind::Busy, "too many clients follow jobs").accepted(
                 "fewer at a time: see `max_watchers` and `max_watchers_per_client` in `jobs` of GET /v1/limits; or poll GET /v1/jobs/{id}",
             ).retry_after(Duration::from_secs(1)));
         }
-        let until = Instant::now() + app.settings.watches.longest;
+        let left = caps.until.map(|end| end.duration_since(SystemTime::now()).unwrap_or_default());
+        let longest = app.settings.watches.longest;
+        let until = Instant::now() + left.map_or(longest, |left| left.min(longest));
         Ok(Watcher { app: app.clone(), client, until })
     }
 

@@ -14,7 +14,7 @@ use crate::engine::{
 use crate::http::App;
 use crate::http::access::signed::Caps;
 use crate::http::frame::{resolve, wait};
-use crate::http::limits::Standing;
+use crate::http::limits::{LONGEST_PAUSE, Standing};
 use crate::http::problem::{Kind, Problem};
 use crate::http::stream::Place;
 use crate::scene::PathSampler;
@@ -147,11 +147,16 @@ impl Playback {
 
     /// Returns the next frame when it is due.
     pub async fn next(&mut self) -> Option<Arc<EncodedFrame>> {
-        match self.app.standing(self.client, &self.caps) {
-            Standing::Good => {}
-            // A film whose key has no GPU time left stands still until it has.
-            Standing::Spent(wait) => self.pause(self.began.elapsed() + wait).await.ok()?,
-            Standing::Gone => return None,
+        loop {
+            match self.app.standing(self.client, &self.caps) {
+                Standing::Good => break,
+                // A film whose key has no GPU time left stands still until it has.
+                Standing::Spent(wait) => {
+                    let pause = wait.min(LONGEST_PAUSE);
+                    self.pause(self.began.elapsed() + pause).await.ok()?;
+                }
+                Standing::Gone => return None,
+            }
         }
         let result = match self.show {
             Show::Path { timeline, .. } => self.next_of_path(timeline).await,

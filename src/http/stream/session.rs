@@ -21,7 +21,7 @@ use crate::engine::{
     ResolvedFrame, SceneMark,
 };
 use crate::http::access::signed::Caps;
-use crate::http::limits::Standing;
+use crate::http::limits::{LONGEST_PAUSE, Standing};
 use crate::http::params::FrameParams;
 use crate::http::problem::{Kind, Problem};
 use crate::http::{App, Caller};
@@ -358,7 +358,7 @@ impl Session {
         }
         let Some((seq, params, quality)) = self.schedule.wanted(now) else { return Ok(()) };
         if let Standing::Spent(wait) = standing {
-            self.retry_at = Some(now + wait);
+            self.retry_at = Some(now + wait.min(LONGEST_PAUSE));
             return Ok(());
         }
         if !self.has_replaceable() && !self.has_room() {
