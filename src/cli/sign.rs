@@ -1,4 +1,4 @@
-//! `pointillist sign`: addresses that let in whoever has them, until a time.
+//! `pointillist sign`: signs addresses, which anybody may fetch without a key until they expire.
 
 use std::path::PathBuf;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -25,7 +25,7 @@ pub struct SignArgs {
     /// Time for which the address works (90s, 15m, 12h, 30d), or its end (2030-01-31T12:00:00Z)
     #[arg(long, value_name = "TIME")]
     expires: String,
-    /// Maximum width times height of a frame
+    /// Maximum pixels of a frame: width × height × parts per antialiased pixel × exposures
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     max_pixels: Option<u64>,
     /// Maximum estimated GPU time of a frame, in milliseconds

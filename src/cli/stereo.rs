@@ -48,7 +48,7 @@ fn positive(text: &str) -> Result<f64, String> {
     number.ok_or_else(|| "expected a number above 0".to_owned())
 }
 
-/// Part of the distance of what is near by which eyes are apart: the rule of a thirtieth of stereo photography.
+/// Default distance between the eyes, as a fraction of the near distance (the 1/30 rule of stereo photography).
 const APART: f64 = 1.0 / 30.0;
 /// Share of the pixels that show something which is nearer than what counts as near.
 const NEAR_SHARE: f64 = 0.02;

@@ -3,7 +3,7 @@
 //! | on | from | to | what |
 //! |---|---|---|---|
 //! | the stream's `pointillist.runs.KIND.FILM` | daemon, worker | one worker of the kind | [`Run`] |
-//! | subject `pointillist.notes.FILM` | worker | daemon | [`Note`]; none of them must arrive |
+//! | subject `pointillist.notes.FILM` | worker | daemon | [`Note`]; any of them may be lost |
 //! | subject `pointillist.workers.KIND` | worker | daemons | [`Beat`], every second |
 //! | the store | both | both | see [`store`](super::store) |
 

@@ -23,7 +23,7 @@ pub const IDLE_AFTER: Duration = Duration::from_secs(5);
 /// Time after which the broker delivers a run again whose worker is silent.
 pub const ACK_WAIT: Duration = Duration::from_secs(5);
 
-/// Returns the number of frames of the next run, of `remaining` ones that nobody has yet. `frame` is the measured time of a frame.
+/// Returns the number of frames of the next run, given that `remaining` frames are in no run yet. `frame` is the measured time of a frame.
 /// Towards the end of a film, runs become shorter, so that all workers end at about the same time.
 pub fn run_length(remaining: u64, frame: Option<Duration>, workers: u64) -> u64 {
     let by_time = frame.map_or(FIRST_FRAMES, |frame| {

@@ -40,7 +40,7 @@ pub struct Journal {
 /// What the thread of a log does next.
 enum Order {
     Write(Vec<u8>),
-    /// Nothing: there may be something else to do.
+    /// Writes no request line: wakes the thread, so that it opens the file anew or reports lost lines.
     Look,
     /// Tells that all lines before are written.
     Tell(SyncSender<()>),

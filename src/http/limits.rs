@@ -1,7 +1,7 @@
 //! Rates of requests, per key and per address, and the GPU time of keys. The [buckets](super::bucket) decide; this module holds
 //! their locks, and the quotas of the keys in force.
 //!
-//! A limit is refused with 429 and the time after which the request would be let in. A wrong key costs its address a token of a
+//! A request beyond a limit is refused with 429 and the time after which it would be let in. A wrong key costs its address a token of a
 //! small bucket. While that is empty, the address gets 429 for wrong keys. Right keys are let in all the same, so that nobody
 //! locks out those with whom he shares an address; random keys of 128 bits need no slowing down to be safe.
 
@@ -21,7 +21,7 @@ use super::problem::{Kind, Problem};
 const MOST_BUCKETS: usize = 1 << 15;
 /// Wrong keys of one address.
 const WRONG_KEYS: Rate = Rate { per_second: 0.5, burst: 20.0 };
-/// Seconds of its rate that a client may use at once.
+/// Capacity of a client's token bucket, in seconds of its rate.
 const BURST_SECONDS: f64 = 2.0;
 
 /// Longest time for which a client that has no GPU time left sleeps before it looks again: a reload may have changed its limits.

@@ -66,7 +66,7 @@ impl Uploads {
     }
 }
 
-/// What tells an upload from a later one with the same id.
+/// Properties that distinguish an upload from a later upload with the same id.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Edition {
     main: String,
