@@ -244,18 +244,20 @@ fn parts(
         let mut pending: VecDeque<Result<Promised, Problem>> = VecDeque::new();
         let mut held: Option<(FrameParams, ImageFormat)> = None;
         let mut next = 0;
-        for index in 0.. {
+        // Why no further pose is drawn.
+        let mut refusal: Option<Problem> = None;
+        for index in 0..batch.poses.len() {
             while pending.len() < window && next < batch.poses.len() {
-                match batch.may_draw(pending.is_empty()).await {
-                    None => break,
-                    Some(Ok(())) => {}
-                    Some(Err(problem)) => {
-                        // No later pose would fare better.
-                        pending.push_back(Err(problem));
-                        batch.poses.truncate(next + 1);
-                        next = batch.poses.len();
-                        continue;
+                if refusal.is_none() {
+                    match batch.may_draw(pending.is_empty()).await {
+                        None => break,
+                        Some(may) => refusal = may.err(),
                     }
+                }
+                if let Some(problem) = &refusal {
+                    pending.push_back(Err(problem.clone()));
+                    next += 1;
+                    continue;
                 }
                 let pose = match held.take().map_or_else(|| batch.pose(next), Ok) {
                     Ok(pose) => pose,
