@@ -13,7 +13,7 @@ use crate::http::access::signed::{Secret, Terms, is_plain, is_signed, sign};
 /// Options of `pointillist sign`.
 #[derive(Args, Clone, Debug)]
 pub struct SignArgs {
-    /// Address to sign, or its path and query: https://render.example/v1/scenes/town/frame?w=640&h=480
+    /// Address to sign, or its path and query, as in /v1/scenes/town/frame?w=640&h=480
     #[arg(value_name = "ADDRESS")]
     address: String,
     /// Id of the key in the server's key file
