@@ -71,29 +71,20 @@ check "cargo fmt" cargo fmt --check
 check "cargo clippy" cargo clippy --quiet --all-targets --locked "${features[@]}" -- -D warnings
 check "cargo doc" env RUSTDOCFLAGS="-D warnings -A rustdoc::private-intra-doc-links" cargo doc --quiet --no-deps --locked "${features[@]}" --document-private-items
 
-if browser_said=$(scripts/setup-browser.sh 2>&1); then
-    echo "$browser_said"
-    export POINTILLIST_BROWSER=required
-else
-    echo "$browser_said"
-    skip "browser" "no Chromium with chromedriver; tests/browser.rs skips itself"
-fi
-
-if servers_said=$(scripts/setup-servers.sh 2>&1); then
-    echo "$servers_said"
-    export POINTILLIST_SERVERS=required
-else
-    echo "$servers_said"
-    skip "servers" "no HAProxy, nginx or Prometheus; tests/http/balancer.rs and monitoring.rs skip themselves"
-fi
-
-if nats_said=$(scripts/setup-nats.sh 2>&1); then
-    echo "$nats_said"
-    export POINTILLIST_NATS_SERVER=required
-else
-    echo "$nats_said"
-    skip "nats-server" "none here; tests/http/cluster.rs skips itself"
-fi
+# Sets up a tool that tests use. Where that works, the tests may not skip themselves.
+tool() { # NAME SETUP VARIABLE REASON
+    if "$2" 2>&1; then
+        export "$3=required"
+    else
+        skip "$1" "$4"
+    fi
+}
+tool "browser" scripts/setup-browser.sh POINTILLIST_BROWSER \
+    "no Chromium with chromedriver; tests/browser.rs skips itself"
+tool "servers" scripts/setup-servers.sh POINTILLIST_SERVERS \
+    "no HAProxy, nginx or Prometheus; tests/http/balancer.rs and monitoring.rs skip themselves"
+tool "nats-server" scripts/setup-nats.sh POINTILLIST_NATS_SERVER \
+    "none here; tests/http/cluster.rs skips itself"
 
 data=${POINTILLIST_DATA:-../shared/data}
 [ -d "$data" ] || skip "real data" "no folder $data (POINTILLIST_DATA); tests that read real files skip themselves"

@@ -49,7 +49,7 @@ enum Layout {
     Cube,
 }
 
-/// What is drawn around each face and cut off again; pull-push looks at squares of powers of two.
+/// Width of the border that is drawn around each face and cut off again; pull-push looks at squares of powers of two.
 const MARGIN_PX: u32 = 64;
 /// Directions within a pixel of an equirectangular image, along each side.
 const TAPS: u32 = 2;
@@ -300,7 +300,7 @@ fn equirectangular(faces: &[Sheet], side: u32, size: [u32; 2]) -> Vec<[u8; 4]> {
     (0..height).into_par_iter().flat_map_iter(row).collect()
 }
 
-/// What tells viewers that an image is a whole sphere (Google, Photo Sphere XMP Metadata).
+/// Returns the note by which viewers recognise an image of a whole sphere (Google, Photo Sphere XMP Metadata).
 fn sphere_note([width, height]: [u32; 2]) -> String {
     let numbers = [
         ("FullPanoWidthPixels", width),

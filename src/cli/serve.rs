@@ -465,7 +465,7 @@ fn number<T: PartialOrd + std::fmt::Display>(
     Ok(value)
 }
 
-/// What the daemon does with uploads.
+/// Returns how the daemon treats uploads.
 fn uploads(args: &ServeArgs) -> anyhow::Result<Uploads> {
     match (args.no_uploads == Some(true), args.follow_uploads == Some(true)) {
         (false, false) => Ok(Uploads::Kept),

@@ -1,4 +1,4 @@
-//! What clients are charged for the device time of their frames: estimates when frames are taken, and measured times at the end.
+//! The queue charges clients for the device time of their frames: by estimates when frames are taken, by measured times at the end.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -28,11 +28,11 @@ impl EngineState {
         for (job, measured_ns) in jobs {
             let Some((client, charged_ns)) = job.settle() else { continue };
             queue.landed(client, now);
-            let measured_ns = *measured_ns;
-            queue.settle(client, charged_ns, measured_ns.unwrap_or(charged_ns));
-            self.tell_spent(client, Duration::from_nanos(measured_ns.unwrap_or(charged_ns)));
-            cost_ns += measured_ns.unwrap_or(charged_ns);
-            if let Some(ns) = measured_ns {
+            let own_ns = measured_ns.unwrap_or(charged_ns);
+            queue.settle(client, charged_ns, own_ns);
+            self.tell_spent(client, Duration::from_nanos(own_ns));
+            cost_ns += own_ns;
+            if let Some(ns) = *measured_ns {
                 costs.measured(job.frame.cost_key, ns);
             }
         }
@@ -55,7 +55,7 @@ impl EngineState {
         schedule.queue.settle(client, charged_ns, took.as_nanos() as u64);
         drop(schedule);
         self.tell_spent(client, took);
-        // Who joins it now asks again.
+        // A client that joins the frame now has to ask again.
         self.answer(job, Err(EngineError::Busy { retry_after: Duration::ZERO }));
     }
 

@@ -74,7 +74,7 @@ pub struct Queued {
     pub pending: u64,
     /// Runs that workers have.
     pub drawing: u64,
-    /// Of those, runs that were delivered more than once.
+    /// Runs that workers have and that were delivered more than once.
     pub redelivered: u64,
 }
 

@@ -1,4 +1,4 @@
-//! What daemon and workers tell each other, and the subjects and names under which they do.
+//! Messages between daemon and workers, with their subjects and names.
 //!
 //! | on | from | to | what |
 //! |---|---|---|---|
@@ -90,7 +90,7 @@ impl Run {
     }
 }
 
-/// What became of a run.
+/// A worker's report on a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Note {

@@ -46,7 +46,7 @@ pub fn mean_time(before: Option<Duration>, drawn: u64, elapsed: Duration) -> Opt
     Some(before.map_or(now, |before| (before + now) / 2))
 }
 
-/// What a worker does with a run.
+/// A worker's decision about a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     Draw,

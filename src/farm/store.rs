@@ -1,4 +1,4 @@
-//! What daemon and workers share besides messages: a folder, or a bucket of an S3-compatible service.
+//! The store that daemon and workers share besides messages: a folder, or a bucket of an S3-compatible service.
 //!
 //! | name | content | written by |
 //! |---|---|---|

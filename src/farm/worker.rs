@@ -53,7 +53,7 @@ pub struct Worker {
     state: Mutex<State>,
 }
 
-/// What the worker is doing.
+/// The worker's activity.
 struct State {
     busy: Option<(String, u64)>,
     /// When the worker began to wait, or finished its latest frame.

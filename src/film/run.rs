@@ -69,7 +69,7 @@ pub struct Drawn {
     pub number: u64,
     pub tag: String,
     pub bytes: Bytes,
-    /// What the frame has cost, if this process drew it.
+    /// The receipt tells what the frame has cost, if this process drew it.
     pub receipt: Option<Receipt>,
 }
 

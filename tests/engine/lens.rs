@@ -7,7 +7,7 @@ use pointillist::plan::{BlurSamples, Output, Pass, Reconstruct, Settings};
 use pointillist::scene::color::{linear_from_srgb, srgb_from_linear};
 use serde_json::json;
 
-use super::studio::{Studio, etag, front, mesh, same, spt};
+use super::studio::{Studio, etag, front, same, spt};
 
 const LENS: f64 = 0.3;
 
@@ -164,19 +164,7 @@ fn a_blurred_frame_ends_when_nobody_waits_for_it() {
 #[test]
 fn an_edge_becomes_a_ramp_while_the_camera_moves() {
     let studio = Studio::new();
-    let corners = [[0.0, -9.0], [9.0, -9.0], [9.0, 9.0], [0.0, 9.0]];
-    let corners = corners.map(|[x, y]| DVec3::new(x, y, 0.0));
-    studio.write("half.ply", mesh(&corners, &[[0, 1, 2], [0, 2, 3]]));
-    studio.load_json(
-        "half",
-        &json!({
-            "assets": { "half": { "file": "half.ply" } },
-            "nodes": [{ "asset": "half", "material": "white" }],
-            "materials": { "white": { "color": [1, 1, 1] } },
-            "lights": [],
-            "background": "#000000",
-        }),
-    );
+    studio.load_half();
     let count = 64;
     let way = 0.8;
     let exposed: Vec<Camera> = exposures(count).map(|one| camera(way * (one.time - 0.5))).collect();

@@ -4,9 +4,8 @@ use glam::{DVec2, DVec3};
 use pointillist::engine::{EngineError, FrameRequest, Pose};
 use pointillist::math::{Camera, Lens, View};
 use pointillist::plan::{Output, Reconstruct, Settings};
-use serde_json::json;
 
-use super::studio::{Studio, etag, front, mesh, same};
+use super::studio::{Studio, etag, front, same};
 
 fn camera() -> Camera {
     Camera {
@@ -58,18 +57,7 @@ fn images_are_those_of_skewed_frusta() {
 #[test]
 fn an_edge_moves_by_its_parallax() {
     let studio = Studio::new();
-    let corners = [[0.0, -9.0], [9.0, -9.0], [9.0, 9.0], [0.0, 9.0]];
-    let corners = corners.map(|[x, y]| DVec3::new(x, y, 0.0));
-    studio.write("half.ply", mesh(&corners, &[[0, 1, 2], [0, 2, 3]]));
-    studio.load_json(
-        "half",
-        &json!({
-            "assets": { "half": { "file": "half.ply" } },
-            "nodes": [{ "asset": "half", "material": "white" }],
-            "materials": { "white": { "color": [1, 1, 1] } },
-            "background": [0, 0, 0],
-        }),
-    );
+    studio.load_half();
     let straight = Camera { eye: DVec3::new(0.0, 0.0, 4.0), ..camera() };
     let edge = |offset: f64, plane: f64| {
         let settings = Settings::drawn_as(Reconstruct::Points).shifted(offset).stereo_from(plane);

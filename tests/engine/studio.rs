@@ -68,6 +68,23 @@ impl Studio {
         self.load(id, &file)
     }
 
+    /// Loads the scene `half`: the half of the plane z = 0 at the right of x = 0, white on black, without lights.
+    pub fn load_half(&self) {
+        let corners = [[0.0, -9.0], [9.0, -9.0], [9.0, 9.0], [0.0, 9.0]];
+        let corners = corners.map(|[x, y]| DVec3::new(x, y, 0.0));
+        self.write("half.ply", mesh(&corners, &[[0, 1, 2], [0, 2, 3]]));
+        self.load_json(
+            "half",
+            &json!({
+                "assets": { "half": { "file": "half.ply" } },
+                "nodes": [{ "asset": "half", "material": "white" }],
+                "materials": { "white": { "color": [1, 1, 1] } },
+                "lights": [],
+                "background": "#000000",
+            }),
+        );
+    }
+
     /// A lit scene with points and triangles, and an unlit cloud; both with a camera `front`.
     pub fn load_two(&self) {
         self.write("wall.ply", wall(40, |x, y| [(x * 6) as u8, (y * 6) as u8, 90]));

@@ -30,7 +30,7 @@ const PERIOD: Duration = Duration::from_secs(1);
 /// Longest wait for a cancelled load to end.
 const LONGEST_STEP: Duration = Duration::from_secs(30);
 
-/// What a daemon does with uploads.
+/// Ways in which a daemon treats uploads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Uploads {
     /// It accepts uploads and keeps them below its root.
