@@ -86,6 +86,10 @@ tool "servers" scripts/setup-servers.sh POINTILLIST_SERVERS \
 tool "nats-server" scripts/setup-nats.sh POINTILLIST_NATS_SERVER \
     "none here; tests/http/cluster.rs skips itself"
 
+# Python's tools: moto's S3 service, the checker of Kubernetes manifests, and schemathesis.
+python=$(scripts/setup-python.sh) || python=
+export POINTILLIST_PYTHON=${python:+$python/bin/python}
+
 data=${POINTILLIST_DATA:-../shared/data}
 [ -d "$data" ] || skip "real data" "no folder $data (POINTILLIST_DATA); tests that read real files skip themselves"
 
@@ -131,9 +135,7 @@ else
     check "shell syntax" syntax
 fi
 
-# Python's tools: the checker of Kubernetes manifests, and schemathesis.
-python=$(scripts/setup-python.sh) || python=
-check "deploy files" env POINTILLIST_PYTHON="$python/bin/python" scripts/lint-deploy.sh target/debug/pointillist
+check "deploy files" scripts/lint-deploy.sh target/debug/pointillist
 
 # The contract, in requests that nobody thought of: POINTILLIST_CONTRACT_SECONDS of them.
 if [ -n "$python" ]; then

@@ -14,7 +14,7 @@ use clap::{Args, ValueEnum};
 use serde::Deserialize;
 
 use self::claim::claim;
-use self::edge::{edge, passed_socket, reread};
+use self::edge::{bounds, edge, passed_socket, reread};
 use self::farm::{farm_store, use_farm};
 use self::files::{root, start_scenes};
 use self::greeting::{example, greeting, tell};
@@ -24,9 +24,10 @@ use super::cache::CacheArgs;
 use super::out::say;
 use crate::assets::ReadOptions;
 use crate::engine::{Engine, EngineConfig, PrimeConfig};
-use crate::http::access::{Access, Reread, keys};
+use crate::http::access::{Access, keys};
+use crate::http::rules::Reread;
 use crate::http::server::{serve, serve_monitoring};
-use crate::http::{App, Settings, StreamLimits, UploadLimits, Uploads, WatchLimits};
+use crate::http::{App, Settings, Uploads, push_metrics};
 use crate::memory::{self, HostMemory};
 use crate::scene::Up;
 use crate::spelling::nearest;
@@ -177,6 +178,9 @@ pub struct ServeArgs {
     /// File to which each change, reload and refused key is appended as a line of JSON; `-` is standard output
     #[arg(long, env = "POINTILLIST_AUDIT_LOG", value_name = "FILE", allow_hyphen_values = true)]
     pub audit_log: Option<PathBuf>,
+    /// OpenTelemetry collector to which traces of requests and metrics are sent by OTLP over HTTP, as in http://127.0.0.1:4318
+    #[arg(long, env = "POINTILLIST_OTLP", value_name = "URL")]
+    pub otlp: Option<String>,
     /// Folder for jobs and their frames; each daemon needs its own [default: `pointillist` in the user's state folder]
     #[arg(long, env = "POINTILLIST_STATE", value_name = "FOLDER")]
     pub state: Option<PathBuf>,
@@ -246,7 +250,8 @@ pub enum LogFormat {
 /// A setting cannot be used, the address is in use, there is no GPU adapter, or none of the scenes given with `--scene` loads.
 pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     memory::set_up_allocator();
-    let args = with_file(args)?;
+    let given = args;
+    let args = with_file(given.clone())?;
     init_log(args.log_format.unwrap_or(LogFormat::Text));
     let root = root(&args)?;
     let passed = passed_socket()?;
@@ -260,7 +265,7 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     let is_tls = args.tls_cert.is_some();
     let has_keys = matches!(access, Access::Keys(_));
     let settings = settings(&args, root.clone(), access)?;
-    let settings = Settings { reread: reread(&args, address), ..settings };
+    let settings = Settings { reread: reread(&given, &args, address), ..settings };
     let start = start_scenes(&args, &root)?;
     let jobs_config = jobs_config(&args)?;
     let farm = farm_store(&args)?;
@@ -278,6 +283,7 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let jobs = open_jobs(&engine, jobs_config, args.state.is_some())?;
     let logs = [settings.edge.access_log.clone(), settings.edge.audit_log.clone()];
+    let telemetry = settings.edge.telemetry.clone();
     if let (Some(farm), Ok(jobs)) = (farm, &jobs) {
         use_farm(farm, &engine, jobs, runtime.handle())?;
     }
@@ -285,6 +291,9 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     if let Some(listener) = monitoring {
         tracing::info!(address = %listener.local_addr()?, "metrics are served");
         runtime.spawn(serve_monitoring(app.clone(), listener));
+    }
+    if let Some(telemetry) = &telemetry {
+        runtime.spawn(push_metrics(app.clone(), telemetry.clone()));
     }
     let ready = |engine: &Engine, address| tell(&example(engine, address, is_tls, has_keys));
     let listening = |address| tell(&greeting(address, is_tls));
@@ -295,6 +304,9 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
         if !log.flush(LOG_PATIENCE) {
             tracing::error!("the last lines of a log are not written");
         }
+    }
+    if let Some(Err(error)) = telemetry.map(|telemetry| telemetry.close(LOG_PATIENCE)) {
+        tracing::error!(error, "the last spans are not sent");
     }
     drop(claim);
     result
@@ -406,6 +418,7 @@ impl ServeArgs {
             metrics_listen: self.metrics_listen.or(lower.metrics_listen),
             access_log: self.access_log.or(lower.access_log),
             audit_log: self.audit_log.or(lower.audit_log),
+            otlp: self.otlp.or(lower.otlp),
             state: self.state.or(lower.state),
             no_jobs: self.no_jobs.or(lower.no_jobs),
             job_queue: self.job_queue.or(lower.job_queue),
@@ -484,43 +497,18 @@ fn settings(args: &ServeArgs, root: PathBuf, access: Access) -> anyhow::Result<S
     }
     let seconds =
         |name, value, default, least| number(name, value, default, least).map(Duration::from_secs);
-    let mib = |name, value, default| {
-        number(name, value, default, 1).map(|mib: u64| mib.saturating_mul(1 << 20))
-    };
-    let upload_mib = number("max-upload-mib", args.max_upload_mib, 4096, 1)?;
     Ok(Settings {
         root,
         access,
         cors_origins: args.cors_origin.clone(),
-        max_upload_bytes: upload_mib.saturating_mul(1 << 20),
-        upload_limits: UploadLimits {
-            scenes: number("max-uploads", args.max_uploads, 1000, 1)?,
-            scenes_per_key: number("max-uploads-per-key", args.max_uploads_per_key, 250, 1)?,
-            bytes: mib("upload-disk-mib", args.upload_disk_mib, 65_536)?,
-            bytes_per_key: mib("upload-disk-mib-per-key", args.upload_disk_mib_per_key, 16_384)?,
-        },
         max_connections: number("max-connections", args.max_connections, 1024, 1)?,
         frame_timeout: seconds("frame-timeout-seconds", args.frame_timeout_seconds, 120, 1)?,
         read_timeout: seconds("read-timeout-seconds", args.read_timeout_seconds, 30, 1)?,
         drain: seconds("drain-seconds", args.drain_seconds, 20, 0)?,
         drain_delay: seconds("drain-delay", args.drain_delay, 0, 0)?,
         uploads: uploads(args)?,
+        bounds: bounds(args)?,
         reread: Reread::default(),
-        streams: StreamLimits {
-            most: number("max-streams", args.max_streams, 64, 0)?,
-            most_per_client: number("max-streams-per-client", args.max_streams_per_client, 16, 1)?,
-            idle: seconds("stream-idle-seconds", args.stream_idle_seconds, 60, 1)?,
-        },
-        watches: WatchLimits {
-            most: number("max-watchers", args.max_watchers, 256, 0)?,
-            most_per_client: number(
-                "max-watchers-per-client",
-                args.max_watchers_per_client,
-                32,
-                1,
-            )?,
-            longest: seconds("watch-seconds", args.watch_seconds, 3600, 1)?,
-        },
         edge: edge(args)?,
     })
 }

@@ -1,11 +1,13 @@
 //! `pointillist worker`: draws frames of films for daemons that share a NATS server and a store.
 
-use std::path::PathBuf;
+use std::fs::File;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Context;
 use clap::Args;
+use tempfile::TempDir;
 
 use super::out::say;
 use super::serve::{ServeArgs, engine_config};
@@ -52,6 +54,44 @@ pub struct WorkerArgs {
     force_32_bit: Option<bool>,
 }
 
+const FOLDER_PREFIX: &str = "pointillist-worker-";
+/// File whose lock a living worker holds.
+const LOCK: &str = "lock";
+
+/// A temporary folder for scenes. It is removed with the process, or by the next worker if the process was killed.
+struct SceneFolder {
+    folder: TempDir,
+    /// Held while the process lives.
+    _lock: File,
+}
+
+impl SceneFolder {
+    /// Creates a folder in `parent`, and removes those of workers that were killed.
+    fn new(parent: &Path) -> std::io::Result<SceneFolder> {
+        for entry in std::fs::read_dir(parent)?.flatten() {
+            if entry.file_name().to_string_lossy().starts_with(FOLDER_PREFIX)
+                && let Ok(lock) = File::open(entry.path().join(LOCK))
+                && lock.try_lock().is_ok()
+                // Another user's folder cannot be removed.
+                && std::fs::remove_dir_all(entry.path()).is_ok()
+            {
+                tracing::info!(folder = %entry.path().display(), "a killed worker's folder is removed");
+            }
+        }
+        let folder = tempfile::Builder::new().prefix(FOLDER_PREFIX).tempdir_in(parent)?;
+        // A worker that starts now sees the lock file only when it is locked.
+        let unnamed = folder.path().join("lock.new");
+        let lock = File::create(&unnamed)?;
+        lock.lock()?;
+        std::fs::rename(unnamed, folder.path().join(LOCK))?;
+        Ok(SceneFolder { folder, _lock: lock })
+    }
+
+    fn path(&self) -> &Path {
+        self.folder.path()
+    }
+}
+
 /// Draws frames until a signal stops the worker.
 ///
 /// # Errors
@@ -60,8 +100,8 @@ pub fn run(args: WorkerArgs) -> anyhow::Result<()> {
     memory::set_up_allocator();
     super::serve::init_log(super::serve::LogFormat::Text);
     let store = Store::open(&args.store)?;
-    let folder = tempfile::Builder::new().prefix("pointillist-worker-").tempdir();
-    let folder = folder.context("cannot create a folder for scenes")?;
+    let folder =
+        SceneFolder::new(&std::env::temp_dir()).context("cannot create a folder for scenes")?;
     let root = folder.path().canonicalize().context("cannot open the folder for scenes")?;
     let settings = ServeArgs {
         cache: args.cache,
@@ -88,4 +128,29 @@ pub fn run(args: WorkerArgs) -> anyhow::Result<()> {
         working.await?;
         anyhow::Ok(())
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn folders_of_killed_workers_are_removed() {
+        let parent = tempfile::tempdir().unwrap();
+        let killed = parent.path().join(format!("{FOLDER_PREFIX}killed"));
+        std::fs::create_dir(&killed).unwrap();
+        std::fs::write(killed.join(LOCK), "").unwrap();
+        let begun = parent.path().join(format!("{FOLDER_PREFIX}begun"));
+        std::fs::create_dir(&begun).unwrap();
+        let foreign = parent.path().join("other");
+        std::fs::create_dir(&foreign).unwrap();
+        std::fs::write(foreign.join(LOCK), "").unwrap();
+        let living = SceneFolder::new(parent.path()).unwrap();
+        assert!(!killed.exists() && begun.exists() && foreign.exists());
+        let other = SceneFolder::new(parent.path()).unwrap();
+        assert!(living.path().exists() && living.path() != other.path());
+        let path = living.path().to_owned();
+        drop(living);
+        assert!(!path.exists());
+    }
 }

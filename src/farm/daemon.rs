@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use bytes::Bytes;
 use futures::{FutureExt, StreamExt, TryStreamExt, stream};
@@ -36,6 +36,8 @@ const COUNT_EVERY: Duration = Duration::from_secs(2);
 /// Frames that are read from the store at a time, and notes that are taken at a time.
 const READS: usize = 8;
 const MOST_NOTES: usize = 64;
+/// Interval at which scenes' files that no film needs are removed from the store.
+const CLEAN_EVERY: Duration = Duration::from_secs(24 * 3600);
 /// Time limit of the removal of a film that is over.
 const CLEAR: Duration = Duration::from_secs(20);
 
@@ -102,6 +104,7 @@ impl Farm {
         let farm = Farm { shared: Arc::new(shared) };
         farm.shared.runtime.spawn(hear_beats(farm.shared.clone()));
         farm.shared.runtime.spawn(count_queued(farm.shared.clone()));
+        farm.shared.runtime.spawn(clean_store(farm.shared.store.clone()));
         Ok(farm)
     }
 }
@@ -127,6 +130,21 @@ async fn count_queued(shared: Arc<Shared>) {
         let queued = shared.broker.queued(&shared.kind).await.unwrap_or_default();
         *shared.queued.lock() = queued;
         tokio::time::sleep(COUNT_EVERY).await;
+    }
+}
+
+/// Removes what no film needs, for as long as the process lives.
+async fn clean_store(store: Store) {
+    let mut interval = tokio::time::interval(CLEAN_EVERY);
+    loop {
+        interval.tick().await;
+        match store.clean(SystemTime::now()).await {
+            Ok(0) => {}
+            Ok(files) => {
+                tracing::info!(files, "files that no film needs are removed from the store")
+            }
+            Err(error) => tracing::warn!(%error, "cannot remove old files from the store"),
+        }
     }
 }
 

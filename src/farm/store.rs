@@ -2,7 +2,7 @@
 //!
 //! | name | content | written by |
 //! |---|---|---|
-//! | `assets/SHA256` | a file of a scene | the daemon, once for all films |
+//! | `assets/SHA256` | a file of a scene; removed when no film has needed it for a week | the daemon, once for all films |
 //! | `films/FILM/order.json` | [`FilmOrder`](super::messages::FilmOrder); removed first when the film is over | the daemon |
 //! | `films/FILM/frames/TAG` | the image with this entity tag | workers |
 //! | `films/FILM/tries/FIRST-LAST` | how often these frames were begun | workers |
@@ -10,9 +10,10 @@
 //!
 //! Frames carry their checksum, since a shared folder may keep half of a file after a power cut. Each operation is tried a few times.
 
+use std::collections::HashSet;
 use std::path::Path as FilePath;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use bytes::Bytes;
 use futures::{StreamExt, TryStreamExt};
@@ -21,8 +22,11 @@ use object_store::local::LocalFileSystem;
 use object_store::path::Path;
 use object_store::prefix::PrefixStore;
 use object_store::{ObjectStore, ObjectStoreExt, PutPayload, WriteMultipart};
+use serde::Deserialize;
 use sha2::{Digest, Sha256};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
+
+use super::messages::Bundle;
 
 /// Number of tries of an operation. The pause after each is twice as long as the one before.
 const TRIES: u32 = 4;
@@ -31,8 +35,18 @@ const PAUSE: Duration = Duration::from_millis(100);
 const SUM: usize = 32;
 /// Bytes of a part of a large file that is uploaded.
 const PART: usize = 8 << 20;
+/// Age from which a scene's file that no film names is removed.
+const KEPT: Duration = Duration::from_secs(7 * 24 * 3600);
+/// Age from which a scene's file is stored again when a film needs it, so that it is not removed before the film's order is there.
+const FRESH: Duration = Duration::from_secs(24 * 3600);
 /// Requests that one listing or removal makes at a time.
 const AT_ONCE: usize = 16;
+
+/// The part of an order that tells which files a film needs. Daemons of other versions may share the store.
+#[derive(Deserialize)]
+struct Needs {
+    scene: Bundle,
+}
 
 /// A handle of the store; clones share it.
 #[derive(Clone)]
@@ -98,7 +112,7 @@ impl Store {
         loop {
             let error = match operation().await {
                 Ok(value) => return Ok(value),
-                Err(error) => StoreError { store: self.name.clone(), error },
+                Err(error) => self.failed(error),
             };
             if tries >= TRIES || error.is_missing() {
                 return Err(error);
@@ -107,6 +121,10 @@ impl Store {
             tokio::time::sleep(PAUSE * (1 << tries)).await;
             tries += 1;
         }
+    }
+
+    fn failed(&self, error: object_store::Error) -> StoreError {
+        StoreError { store: self.name.clone(), error }
     }
 
     async fn put(&self, name: &Path, bytes: Bytes) -> Result<(), StoreError> {
@@ -213,16 +231,50 @@ impl Store {
         let order = folder.clone().join("order.json");
         absent(self.tried(|| self.objects.delete(&order)).await)?;
         let names = self.objects.list(Some(&folder)).map_ok(|found| found.location);
-        let removed = names.map_err(|error| StoreError { store: self.name.clone(), error });
+        let removed = names.map_err(|error| self.failed(error));
         let delete =
             |name| async move { absent(self.tried(|| self.objects.delete(&name)).await).map(drop) };
         removed.try_for_each_concurrent(AT_ONCE, delete).await
     }
 
-    /// Stores a scene's file under its hash, unless it is there.
+    /// Removes scenes' files that no film needs and that are a week old at the time `now`. Returns their number.
+    ///
+    /// # Errors
+    /// The store fails, or a film's order cannot be read; then nothing is removed.
+    pub async fn clean(&self, now: SystemTime) -> Result<usize, StoreError> {
+        let list = |folder: &'static str| self.objects.list(Some(&Path::from(folder)));
+        let assets: Vec<_> = self.tried(|| list("assets").try_collect()).await?;
+        let is_old = |at: SystemTime| now.duration_since(at).is_ok_and(|age| age >= KEPT);
+        let old = assets.into_iter().filter(|asset| is_old(asset.last_modified.into()));
+        let mut old: Vec<Path> = old.map(|asset| asset.location).collect();
+        if old.is_empty() {
+            return Ok(0);
+        }
+        // A film that begins now has stored its files anew.
+        let films: Vec<_> = self.tried(|| list("films").try_collect()).await?;
+        let mut needed = HashSet::new();
+        for order in films.iter().filter(|found| found.location.filename() == Some("order.json")) {
+            // The film may have ended.
+            let Some(text) = self.get(&order.location).await? else { continue };
+            let order: Needs = serde_json::from_slice(&text).map_err(|error| {
+                let source = format!("{}: {error}", order.location).into();
+                self.failed(object_store::Error::Generic { store: "order", source })
+            })?;
+            needed.extend(order.scene.files.iter().map(|file| asset_path(&file.sha256)));
+        }
+        old.retain(|asset| !needed.contains(asset));
+        for asset in &old {
+            absent(self.tried(|| self.objects.delete(asset)).await)?;
+        }
+        Ok(old.len())
+    }
+
+    /// Stores a scene's file under its hash, unless it is there and was stored lately.
     pub async fn put_asset(&self, sha256: &str, file: &FilePath) -> Result<(), StoreError> {
         let name = asset_path(sha256);
-        if self.has(&name).await? {
+        let found = absent(self.tried(|| self.objects.head(&name)).await)?;
+        let age = found.map(|found| SystemTime::from(found.last_modified).elapsed());
+        if age.is_some_and(|age| age.unwrap_or_default() < FRESH) {
             return Ok(());
         }
         self.tried(|| async {
@@ -359,6 +411,46 @@ mod tests {
         store.remove("f").await.unwrap();
     }
 
+    /// Makes a file of the store look older.
+    fn age(folder: &FilePath, sha256: &str, by: Duration) {
+        let file = std::fs::File::options()
+            .write(true)
+            .open(folder.join("deep/store/assets").join(sha256))
+            .unwrap();
+        file.set_modified(SystemTime::now() - by).unwrap();
+    }
+
+    #[tokio::test]
+    async fn old_assets_are_removed_unless_a_film_needs_them() {
+        let (folder, store) = store();
+        let file = folder.path().join("a.ply");
+        std::fs::write(&file, "ply").unwrap();
+        for sha256 in ["old", "needed", "young"] {
+            store.put_asset(sha256, &file).await.unwrap();
+        }
+        let now = SystemTime::now();
+        assert_eq!(store.clean(now).await.unwrap(), 0);
+        for sha256 in ["old", "needed"] {
+            age(folder.path(), sha256, KEPT + PAUSE);
+        }
+        let mut order = serde_json::json!({"scene": {
+            "main": "a.ply", "base": null, "up": null,
+            "files": [{"path": "a.ply", "bytes": 3, "sha256": "needed"}],
+        }});
+        store.put_order("f", order.to_string().into_bytes()).await.unwrap();
+        store.put_order("broken", b"{}".to_vec()).await.unwrap();
+        let error = store.clean(now).await.unwrap_err().to_string();
+        assert!(error.contains("films/broken/order.json"), "{error}");
+        store.remove("broken").await.unwrap();
+        assert_eq!(store.clean(now).await.unwrap(), 1);
+        let has = |sha256: &str| folder.path().join("deep/store/assets").join(sha256).exists();
+        assert_eq!(["old", "needed", "young"].map(has), [false, true, true]);
+        order["scene"]["files"] = serde_json::json!([]);
+        store.put_order("f", order.to_string().into_bytes()).await.unwrap();
+        assert_eq!(store.clean(now).await.unwrap(), 1);
+        assert_eq!(["needed", "young"].map(has), [false, true]);
+    }
+
     #[tokio::test]
     async fn assets_are_stored_once_and_checked() {
         let (folder, store) = store();
@@ -368,6 +460,9 @@ mod tests {
         let sha256 = crate::film::manifest::checksum(&content);
         store.put_asset(&sha256, &file).await.unwrap();
         // The second time, nothing is read.
+        store.put_asset(&sha256, FilePath::new("/no/such/file")).await.unwrap();
+        age(folder.path(), &sha256, FRESH);
+        store.put_asset(&sha256, &file).await.unwrap();
         store.put_asset(&sha256, FilePath::new("/no/such/file")).await.unwrap();
         let copy = folder.path().join("copy.ply");
         assert_eq!(store.asset(&sha256, &copy).await.unwrap(), sha256);

@@ -33,7 +33,8 @@ use std::path::PathBuf;
 pub use folder::{records, remove};
 pub use manifest::{Header, Record, Records};
 pub use run::{
-    Drawn, Elsewhere, Event, Film, Keep, MOST_PIXELS, Report, Wanted, draw_wanted, run, unbaked,
+    Drawn, Elsewhere, Event, Film, Keep, MOST_PIXELS, Report, Wanted, bake, draw_wanted, run,
+    unbaked,
 };
 
 use crate::engine::EngineError;

@@ -183,6 +183,17 @@ pub fn run(
     })
 }
 
+/// Bakes what the frames need, and waits for it. This changes the scene's mark, so a film takes the mark afterwards.
+///
+/// # Errors
+/// The scene is gone or cannot be baked.
+pub fn bake(engine: &Engine, request: &FrameRequest, shots: &Shots) -> Result<(), FilmError> {
+    while let Some(request) = unbaked(engine, request, shots) {
+        engine.bake(&request)?;
+    }
+    Ok(())
+}
+
 /// Draws frames whose tags are known, for a film that another process runs. `keep` gets them on another thread.
 ///
 /// # Errors
@@ -193,9 +204,6 @@ pub fn draw_wanted(
     stop: &AtomicBool,
     mut keep: impl FnMut(Drawn) -> Result<(), FilmError> + Send,
 ) -> Result<(), FilmError> {
-    while let Some(request) = unbaked(film.engine, &film.request, &film.shots) {
-        film.engine.bake(&request)?;
-    }
     let tags: HashMap<u64, &str> =
         wanted.iter().map(|frame| (frame.number, frame.tag.as_str())).collect();
     let check = |number, tag: &str| match tags.get(&number) {

@@ -12,7 +12,6 @@
 //! may also come as a subprotocol, `pointillist.key.KEY`.
 
 use std::net::{Ipv4Addr, Ipv6Addr};
-use std::sync::Arc;
 use std::time::SystemTime;
 
 use axum::http::{HeaderMap, Method, Uri, header};
@@ -22,7 +21,6 @@ use subtle::ConstantTimeEq;
 use self::signed::{Caps, Claim, Secret};
 use super::STREAM;
 use super::problem::{Kind, Problem};
-use super::tls::Tls;
 
 pub mod keys;
 pub mod signed;
@@ -98,31 +96,6 @@ impl From<Problem> for Refused {
     fn from(problem: Problem) -> Refused {
         Refused { problem: Box::new(problem), key: None, is_guess: false }
     }
-}
-
-/// The rules in force.
-#[derive(Clone, Debug)]
-pub struct Rules {
-    pub access: Access,
-    /// Certificate and key; `None` where the server speaks plain HTTP.
-    pub tls: Option<Tls>,
-}
-
-/// Reads something again from its files.
-#[derive(Clone)]
-pub struct Reader<T>(pub Arc<dyn Fn() -> Result<T, String> + Send + Sync>);
-
-impl<T> std::fmt::Debug for Reader<T> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("Reader")
-    }
-}
-
-/// What a reload reads; `None` where there is nothing to read.
-#[derive(Clone, Debug, Default)]
-pub struct Reread {
-    pub access: Option<Reader<Access>>,
-    pub tls: Option<Reader<Tls>>,
 }
 
 /// The key of a request, and how the request came by it.

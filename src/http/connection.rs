@@ -116,11 +116,13 @@ impl Place {
         counts_addresses: bool,
     ) -> Option<Place> {
         let peer = stream.peer_addr().ok().map(|peer| peer.ip());
-        let proxies = &app.settings.edge.trusted_proxies;
+        let rules = app.rules();
+        let proxies = &rules.bounds.trusted_proxies;
         let address = peer
             .filter(|peer| counts_addresses && !address::is_trusted(*peer, proxies))
             .map(address::network);
-        if address.is_some_and(|address| !app.connections.take(address)) {
+        let most = rules.bounds.max_connections_per_address.unwrap_or(usize::MAX);
+        if address.is_some_and(|address| !app.connections.take(address, usize::MAX, most)) {
             return None;
         }
         Some(Place { app: app.clone(), address, _place: place })

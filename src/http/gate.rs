@@ -15,8 +15,9 @@ use tracing::Instrument;
 
 use super::access::signed::{self, Caps};
 use super::access::{Admitted, Refused};
-use super::journal::{Asked, Spent};
+use super::journal::{Asked, Journal, Line, Spent};
 use super::problem::Problem;
+use super::telemetry::{Parent, Telemetry};
 use super::{
     App, Caller, Owner, ROUTES, TIMING_ALLOW_ORIGIN, UNMATCHED, access, address, body, journal,
     naming,
@@ -34,7 +35,8 @@ pub async fn gate(State(app): State<Arc<App>>, mut request: Request, next: Next)
     let id = naming::of(request.headers());
     request.extensions_mut().insert(id.clone());
     let peer = request.extensions().get::<ConnectInfo<SocketAddr>>().map(|from| from.0.ip());
-    let proxies = &app.settings.edge.trusted_proxies;
+    let rules = app.rules();
+    let proxies = &rules.bounds.trusted_proxies;
     let asked = Asked {
         request_id: id.clone(),
         key: OnceLock::new(),
@@ -46,7 +48,11 @@ pub async fn gate(State(app): State<Arc<App>>, mut request: Request, next: Next)
         target: journal::target(request.uri()),
         at: Instant::now(),
     };
-    let pending = Pending { app: &app, asked, is_answered: false };
+    let outlets = Outlets {
+        access_log: app.settings.edge.access_log.clone(),
+        telemetry: app.settings.edge.telemetry.clone().map(|t| (t, Parent::of(request.headers()))),
+    };
+    let pending = Pending { app: &app, asked, outlets, is_answered: false };
     let span = tracing::debug_span!("request", request_id = %id, %method, route);
     let answer = answer(&app, &pending.asked, request, next).instrument(span);
     let mut response = naming::within(id.clone(), answer).await;
@@ -61,7 +67,30 @@ pub async fn gate(State(app): State<Arc<App>>, mut request: Request, next: Next)
 struct Pending<'a> {
     app: &'a App,
     asked: Asked,
+    outlets: Outlets,
     is_answered: bool,
+}
+
+/// Where it is told how each request ended.
+#[derive(Clone)]
+struct Outlets {
+    access_log: Option<Arc<Journal>>,
+    telemetry: Option<(Arc<Telemetry>, Parent)>,
+}
+
+impl Outlets {
+    fn is_empty(&self) -> bool {
+        self.access_log.is_none() && self.telemetry.is_none()
+    }
+
+    fn tell(&self, line: &Line, at: Instant) {
+        if let Some(journal) = &self.access_log {
+            journal.write(line);
+        }
+        if let Some((telemetry, parent)) = &self.telemetry {
+            telemetry.record(line, line.spent.as_ref(), parent, at.elapsed());
+        }
+    }
 }
 
 impl Pending<'_> {
@@ -73,8 +102,7 @@ impl Pending<'_> {
     /// Writes the audit line of a change or a refused key now, and the access line when the answer has been sent.
     fn answered(mut self, mut response: Response) -> Response {
         self.is_answered = true;
-        let edge = &self.app.settings.edge;
-        if edge.access_log.is_none() && edge.audit_log.is_none() {
+        if self.outlets.is_empty() && self.app.settings.edge.audit_log.is_none() {
             return response;
         }
         let status = response.status().as_u16();
@@ -86,13 +114,23 @@ impl Pending<'_> {
             if self.app.limits.tells_refusal(self.asked.address, Instant::now()) {
                 self.app.audit(&line.clone().event("refused"));
             }
-        } else if status < 400 && self.may_change() {
-            self.app.audit(&line.clone().event("change"));
+        } else if self.may_change() {
+            let event = match status {
+                ..400 => Some("change"),
+                // It may have been made in part.
+                500 | 507 => Some("change-failed"),
+                _ => None,
+            };
+            if let Some(event) = event {
+                self.app.audit(&line.clone().event(event));
+            }
         }
-        let Some(journal) = edge.access_log.clone() else { return response };
-        let spent = response.extensions_mut().remove::<Spent>();
-        let at = self.asked.at;
-        response.map(|body| journal::logged(body, journal, line, spent, at))
+        if self.outlets.is_empty() {
+            return response;
+        }
+        let line = line.spent(response.extensions_mut().remove::<Spent>());
+        let (outlets, at) = (self.outlets.clone(), self.asked.at);
+        response.map(|body| journal::logged(body, line, at, move |line| outlets.tell(line, at)))
     }
 }
 
@@ -106,9 +144,7 @@ impl Drop for Pending<'_> {
         if self.may_change() && self.asked.is_let_in.load(Ordering::Relaxed) {
             self.app.audit(&line.clone().event("client-gone"));
         }
-        if let Some(journal) = &self.app.settings.edge.access_log {
-            journal.write(&line);
-        }
+        self.outlets.tell(&line, self.asked.at);
     }
 }
 
@@ -170,12 +206,12 @@ impl From<Problem> for Denied {
 /// Checks a request against the access rules and the rates. Returns its client and its key.
 fn admit(app: &App, asked: &Asked, request: &Request) -> Result<(Caller, Owner), Denied> {
     let (route, headers, now) = (asked.route, request.headers(), asked.at);
+    let rules = app.rules();
     // Probes must not fail because others ask too often.
     let is_probe = matches!(route, "/healthz" | "/readyz");
     if let (Some(from), false) = (asked.address, is_probe) {
-        app.limits.admit_address(from, now)?;
+        app.limits.admit_address(from, rules.bounds.requests_per_second_per_address, now)?;
     }
-    let rules = app.rules.read().clone();
     let checked = rules.access.check(&asked.method, request.uri(), route, headers);
     let admitted = match checked {
         Ok(admitted) => admitted,

@@ -1,4 +1,4 @@
-//! A counter with two limits: one in total and one per client.
+//! A counter of places, in total and per client.
 
 use std::collections::HashMap;
 use std::hash::Hash;
@@ -8,34 +8,24 @@ use tokio::sync::watch;
 
 use crate::engine::Client;
 
-/// Counts open places, in total and per client.
+/// Counts open places, in total and per client. Limits come with each request for a place, since a reload may change them.
 pub struct Headcount<K = Client> {
-    most: usize,
-    most_per_client: usize,
     by_client: Mutex<HashMap<K, usize>>,
     open: watch::Sender<usize>,
 }
 
+impl<K> Default for Headcount<K> {
+    fn default() -> Self {
+        Self { by_client: Mutex::new(HashMap::new()), open: watch::Sender::new(0) }
+    }
+}
+
 impl<K: Copy + Eq + Hash> Headcount<K> {
-    pub fn new(most: usize, most_per_client: usize) -> Self {
-        Self {
-            most,
-            most_per_client,
-            by_client: Mutex::new(HashMap::new()),
-            open: watch::Sender::new(0),
-        }
-    }
-
-    /// Counts one more place and returns true, unless a limit is reached.
-    pub fn take(&self, client: K) -> bool {
-        self.take_within(client, self.most_per_client)
-    }
-
-    /// As [`Headcount::take`], with a limit of this client's own.
-    pub fn take_within(&self, client: K, most_per_client: usize) -> bool {
+    /// Counts one more place and returns true, unless there are `most` in all or the client has `most_per_client`.
+    pub fn take(&self, client: K, most: usize, most_per_client: usize) -> bool {
         let mut by_client = self.by_client.lock();
         let own = by_client.get(&client).copied().unwrap_or(0);
-        if *self.open.borrow() >= self.most || own >= most_per_client {
+        if *self.open.borrow() >= most || own >= most_per_client {
             return false;
         }
         by_client.insert(client, own + 1);
@@ -66,14 +56,15 @@ mod tests {
 
     #[test]
     fn places_of_all_and_of_each() {
-        let places = Headcount::new(3, 2);
+        let places = Headcount::default();
+        let take = |client| places.take(client, 3, 2);
         let [a, b] = [1, 2].map(Client::Caller);
-        assert!(places.take(a) && places.take(a) && !places.take(a));
-        assert!(places.take(b) && !places.take(b), "three in all");
+        assert!(take(a) && take(a) && !take(a));
+        assert!(take(b) && !take(b), "three in all");
         places.give_back(a);
-        assert!(places.take(b) && !places.take(a));
+        assert!(take(b) && !take(a));
         places.give_back(b);
-        assert!(!places.take_within(b, 1) && places.take_within(b, 2));
+        assert!(!places.take(b, 3, 1) && places.take(b, 3, 2));
         for client in [a, b, b] {
             places.give_back(client);
         }

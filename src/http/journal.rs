@@ -198,16 +198,44 @@ impl Journal {
 }
 
 /// Time that a frame spent, attached to answers that hold one.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Spent {
     queue_ms: f64,
     device_ms: Option<f64>,
+    /// Names and nanoseconds of the frame's stages in their order. Logs tell the two times above only.
+    #[serde(skip)]
+    pub stages: Vec<(&'static str, u64)>,
+    /// Names and nanoseconds of the passes on the GPU.
+    #[serde(skip)]
+    pub passes: Vec<(&'static str, u64)>,
+    #[serde(skip)]
+    pub ready_at: SystemTime,
 }
 
 impl Spent {
+    /// The stage that has the passes.
+    pub const DRAW: &str = "draw";
+
+    /// Takes the times of a frame that is ready now.
     pub fn of(receipt: &Receipt) -> Spent {
         let ms = |ns: u64| ns as f64 / 1e6;
-        Spent { queue_ms: ms(receipt.queue_ns), device_ms: receipt.gpu_share_ns().map(ms) }
+        let stages = vec![
+            ("queue", receipt.queue_ns),
+            ("record", receipt.record_ns),
+            ("device wait", receipt.device_wait_ns),
+            (Self::DRAW, receipt.gpu_ns.unwrap_or(0)),
+            ("readback", receipt.readback_ns),
+            ("encode wait", receipt.encode_wait_ns),
+            ("encode", receipt.encode_ns),
+        ];
+        let passes = receipt.passes.iter().filter_map(|pass| Some((pass.name, pass.gpu_ns?)));
+        Spent {
+            queue_ms: ms(receipt.queue_ns),
+            device_ms: receipt.gpu_share_ns().map(ms),
+            stages,
+            passes: passes.collect(),
+            ready_at: SystemTime::now(),
+        }
     }
 }
 
@@ -216,27 +244,27 @@ impl Spent {
 pub struct Line {
     /// Seconds since 1970.
     time: f64,
-    request_id: String,
+    pub request_id: String,
     /// Name of the key.
-    key: Option<String>,
+    pub key: Option<String>,
     /// Whether the key itself did not come, but an address that it has signed.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     signed: bool,
-    address: Option<IpAddr>,
-    method: String,
-    route: &'static str,
+    pub address: Option<IpAddr>,
+    pub method: String,
+    pub route: &'static str,
     /// The scene or job of the address.
-    target: Option<String>,
+    pub target: Option<String>,
     /// `None` where the client went away before the answer.
-    status: Option<u16>,
+    pub status: Option<u16>,
     /// What was refused or changed; in the audit log only.
     #[serde(skip_serializing_if = "Option::is_none")]
     event: Option<&'static str>,
     /// Bytes of the body that were sent.
     #[serde(skip_serializing_if = "Option::is_none")]
-    bytes: Option<u64>,
+    pub bytes: Option<u64>,
     #[serde(flatten)]
-    spent: Option<Spent>,
+    pub spent: Option<Spent>,
     /// Milliseconds from the request's head to the last byte of its answer.
     #[serde(skip_serializing_if = "Option::is_none")]
     total_ms: Option<f64>,
@@ -300,6 +328,11 @@ impl Line {
         Line { event: Some(event), ..self }
     }
 
+    /// Adds the time that the answer's frame spent, if it holds one.
+    pub fn spent(self, spent: Option<Spent>) -> Line {
+        Line { spent, ..self }
+    }
+
     /// Adds the time since the request's head.
     pub fn after(self, at: Instant) -> Line {
         Line { total_ms: Some(at.elapsed().as_secs_f64() * 1e3), ..self }
@@ -323,27 +356,26 @@ impl Notice {
     }
 }
 
-/// A body that writes its request's line when it ends or is dropped.
-struct Logged {
+/// A body that completes its request's line when it ends or is dropped.
+struct Logged<F: FnMut(&Line)> {
     body: Body,
-    journal: Arc<Journal>,
+    tell: F,
     line: Line,
     bytes: u64,
     at: Instant,
 }
 
-/// Wraps a body, so that its request is logged when the answer has been sent or given up.
+/// Wraps a body, so that its request's line is told when the answer has been sent or given up.
 pub fn logged(
     body: Body,
-    journal: Arc<Journal>,
     line: Line,
-    spent: Option<Spent>,
     at: Instant,
+    tell: impl FnMut(&Line) + Send + Unpin + 'static,
 ) -> Body {
-    Body::new(Logged { body, journal, line: Line { spent, ..line }, bytes: 0, at })
+    Body::new(Logged { body, tell, line, bytes: 0, at })
 }
 
-impl HttpBody for Logged {
+impl<F: FnMut(&Line) + Unpin> HttpBody for Logged<F> {
     type Data = Bytes;
     type Error = axum::Error;
 
@@ -369,12 +401,12 @@ impl HttpBody for Logged {
     }
 }
 
-impl Drop for Logged {
+impl<F: FnMut(&Line)> Drop for Logged<F> {
     fn drop(&mut self) {
         self.line.bytes = Some(self.bytes);
         self.line.total_ms = Some(self.at.elapsed().as_secs_f64() * 1e3);
         self.line.time = now();
-        self.journal.write(&self.line);
+        (self.tell)(&self.line);
     }
 }
 
@@ -408,9 +440,16 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("access.log");
         let journal = Arc::new(Journal::open(&path).unwrap());
-        let spent = Some(Spent { queue_ms: 2.0, device_ms: None });
-        let line = asked(Some("eye")).line(Some(200), None);
-        let body = logged(Body::from("12345"), journal.clone(), line, spent, Instant::now());
+        let spent = Some(Spent {
+            queue_ms: 2.0,
+            device_ms: None,
+            stages: Vec::new(),
+            passes: Vec::new(),
+            ready_at: UNIX_EPOCH,
+        });
+        let line = Line { spent, ..asked(Some("eye")).line(Some(200), None) };
+        let log = journal.clone();
+        let body = logged(Body::from("12345"), line, Instant::now(), move |line| log.write(line));
         let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
         runtime.block_on(axum::body::to_bytes(body, 99)).unwrap();
         assert!(journal.flush(PATIENCE));

@@ -49,7 +49,6 @@ pub enum Standing {
 
 /// The buckets of all clients, and the quotas of keys by the number of their clients.
 pub struct Limits {
-    per_address: Option<Rate>,
     /// `None` where no keys are required.
     holders: RwLock<Option<HashMap<u64, Holder>>>,
     by_address: Mutex<Table<IpAddr>>,
@@ -72,10 +71,8 @@ fn device_rate(ms_per_minute: u64) -> Rate {
 }
 
 impl Limits {
-    /// Limits each address to `per_second` requests, if given.
-    pub fn new(per_second: Option<f64>) -> Limits {
+    pub fn new() -> Limits {
         Limits {
-            per_address: per_second.map(rate),
             holders: RwLock::new(None),
             by_address: Mutex::new(Table::new(MOST_BUCKETS)),
             wrong_keys: Mutex::new(Table::new(MOST_BUCKETS)),
@@ -104,12 +101,17 @@ impl Limits {
         holder.map_or_else(Quotas::default, |holder| holder.quotas)
     }
 
-    /// Counts a request of an address, before its key is looked at.
+    /// Counts a request of an address, before its key is looked at; `per_second` is the limit.
     ///
     /// # Errors
     /// 429 after too many requests.
-    pub fn admit_address(&self, from: IpAddr, now: Instant) -> Result<(), Problem> {
-        let Some(rate) = self.per_address else { return Ok(()) };
+    pub fn admit_address(
+        &self,
+        from: IpAddr,
+        per_second: Option<f64>,
+        now: Instant,
+    ) -> Result<(), Problem> {
+        let Some(rate) = per_second.map(rate) else { return Ok(()) };
         let mut table = self.by_address.lock();
         let bucket = table.bucket(address::network(from), rate, now);
         bucket.take(now).map_err(|wait| too_many(rate, "address", wait))
@@ -215,7 +217,7 @@ mod tests {
 
     /// Limits with one key, `1`.
     fn with_key(quotas: Quotas, expires: Option<SystemTime>) -> Limits {
-        let limits = Limits::new(None);
+        let limits = Limits::new();
         limits.set_holders(Some(HashMap::from([(
             1,
             Holder { quotas, expires, credentials: [Some([1; 32]), None] },
@@ -225,7 +227,7 @@ mod tests {
 
     #[test]
     fn wrong_keys_slow_their_address_down() {
-        let (limits, start) = (Limits::new(None), Instant::now());
+        let (limits, start) = (Limits::new(), Instant::now());
         for _ in 0..20 {
             limits.wrong_key(A, start).unwrap();
         }
@@ -237,7 +239,7 @@ mod tests {
 
     #[test]
     fn wrong_keys_of_many_addresses_share_an_allowance() {
-        let (limits, start) = (Limits::new(None), Instant::now());
+        let (limits, start) = (Limits::new(), Instant::now());
         let let_in = |numbers: std::ops::Range<u32>| {
             let address = |number: u32| IpAddr::V4((0x0a00_0000 + number).into());
             numbers.filter(|number| limits.wrong_key(address(*number), start).is_ok()).count()
@@ -248,7 +250,7 @@ mod tests {
 
     #[test]
     fn few_refusals_are_told() {
-        let (limits, start) = (Limits::new(None), Instant::now());
+        let (limits, start) = (Limits::new(), Instant::now());
         let told = (0..99).filter(|_| limits.tells_refusal(Some(A), start)).count();
         assert_eq!(told, 20);
         assert!(limits.tells_refusal(Some(B), start));
@@ -257,8 +259,9 @@ mod tests {
 
     #[test]
     fn requests_are_limited_by_address_and_by_key() {
-        let (limits, start) = (Limits::new(Some(5.0)), Instant::now());
-        let let_in = |from| (0..99).filter(|_| limits.admit_address(from, start).is_ok()).count();
+        let (limits, start) = (Limits::new(), Instant::now());
+        let let_in =
+            |from| (0..99).filter(|_| limits.admit_address(from, Some(5.0), start).is_ok()).count();
         assert_eq!((let_in(A), let_in(B)), (10, 10));
         let quotas = Quotas { requests_per_second: Some(0.1), ..Quotas::default() };
         assert!(limits.admit_key(1, &quotas, false, start).is_ok());

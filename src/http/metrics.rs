@@ -422,7 +422,7 @@ mod tests {
     #[test]
     fn every_stage_is_counted_with_its_label() {
         let mut shelf = Shelf(Registry::with_prefix("p"));
-        let stages = Stages::new(&mut shelf, Arc::new(Limits::new(None)));
+        let stages = Stages::new(&mut shelf, Arc::new(Limits::new()));
         let pass = |name, gpu_ns| PassReceipt { name, ran: true, gpu_ns, why: None };
         let receipt = Receipt {
             views: 4,

@@ -51,11 +51,13 @@ mod pick;
 mod problem;
 mod refusal;
 mod registry;
+pub mod rules;
 mod scenes;
 pub mod server;
 mod service;
 mod socket;
 mod stream;
+pub mod telemetry;
 pub mod tls;
 mod upload;
 mod viewer;
@@ -82,14 +84,17 @@ pub use names::slug;
 pub use openapi::{openapi_json, openapi_yaml};
 pub use params::{DEFAULT_FOV_DEG, DEFAULT_QUALITY, DEFAULT_SIDE};
 pub use problem::Problem;
+pub use service::push_metrics;
 pub use stream::StreamLimits;
 pub use upload::follow::Uploads;
 pub use upload::quota::UploadLimits;
 
+use self::access::Quotas;
 use self::access::signed::Caps;
-use self::access::{Quotas, Reread, Rules};
 use self::journal::{Journal, Notice};
 use self::limits::{Holder, Limits, Standing};
+use self::rules::{Bounds, Reread, Rules};
+use self::telemetry::Telemetry;
 use crate::accuracy::service::Surveys;
 use crate::engine::{Client, Engine, ResolvedFrame};
 use crate::jobs::Jobs;
@@ -102,9 +107,6 @@ pub struct Settings {
     pub access: access::Access,
     /// Origins whose pages may read answers; empty for none.
     pub cors_origins: Vec<String>,
-    /// Largest upload in bytes, all files together.
-    pub max_upload_bytes: u64,
-    pub upload_limits: UploadLimits,
     pub max_connections: usize,
     /// Longest wait for a frame, whatever the client asks for.
     pub frame_timeout: Duration,
@@ -117,27 +119,22 @@ pub struct Settings {
     pub drain_delay: Duration,
     /// Whether clients may add scenes.
     pub uploads: Uploads,
-    /// Reads keys and certificates again.
+    pub bounds: Bounds,
+    /// Reads keys, certificates and bounds again.
     pub reread: Reread,
-    pub streams: stream::StreamLimits,
-    pub watches: WatchLimits,
     pub edge: Edge,
 }
 
 /// Settings of what stands between the network and the handlers.
 #[derive(Clone, Debug, Default)]
 pub struct Edge {
-    /// Proxies whose `X-Forwarded-For` is believed.
-    pub trusted_proxies: Vec<ipnet::IpNet>,
-    /// Requests per second of one address; `None` for no limit.
-    pub requests_per_second_per_address: Option<f64>,
-    /// Connections of one address; `None` for no limit.
-    pub max_connections_per_address: Option<usize>,
     /// Whether `/metrics` is served on a listener of its own, and not on the main one.
     pub metrics_apart: bool,
     pub tls: Option<tls::Tls>,
     pub access_log: Option<Arc<Journal>>,
     pub audit_log: Option<Arc<Journal>>,
+    /// Where traces and metrics are sent.
+    pub telemetry: Option<Arc<Telemetry>>,
 }
 
 /// State shared by all handlers.
@@ -161,6 +158,8 @@ pub struct App {
     timing_origins: Option<HeaderValue>,
     /// The rules in force.
     rules: parking_lot::RwLock<Arc<Rules>>,
+    /// The turn of the reload that reads files.
+    reloading: parking_lot::Mutex<()>,
     limits: Arc<Limits>,
     /// Connections by address.
     connections: headcount::Headcount<IpAddr>,
@@ -181,7 +180,7 @@ pub enum Phase {
 impl App {
     pub fn new(engine: Engine, settings: Settings, jobs: Result<Jobs, String>) -> Arc<App> {
         let folder = jobs.as_ref().ok().map(|jobs| jobs.folder().join("accuracy"));
-        let limits = Arc::new(Limits::new(settings.edge.requests_per_second_per_address));
+        let limits = Arc::new(Limits::new());
         let app = Arc::new(App {
             surveys: Surveys::open(engine.clone(), folder),
             comparing: Arc::new(tokio::sync::Semaphore::new(1)),
@@ -193,9 +192,9 @@ impl App {
             ),
             jobs,
             registry: registry::Registry::default(),
-            uploads: upload::quota::Quota::new(settings.upload_limits),
-            streams: stream::Streams::new(settings.streams),
-            watchers: settings.watches.headcount(),
+            uploads: upload::quota::Quota::default(),
+            streams: stream::Streams::default(),
+            watchers: headcount::Headcount::default(),
             callers: RandomState::new(),
             timing_origins: (!settings.cors_origins.is_empty())
                 .then(|| HeaderValue::from_str(&settings.cors_origins.join(", ")).ok())
@@ -203,12 +202,11 @@ impl App {
             rules: parking_lot::RwLock::new(Arc::new(Rules {
                 access: settings.access.clone(),
                 tls: settings.edge.tls.clone(),
+                bounds: settings.bounds.clone(),
             })),
+            reloading: parking_lot::Mutex::new(()),
             limits,
-            connections: headcount::Headcount::new(
-                usize::MAX,
-                settings.edge.max_connections_per_address.unwrap_or(usize::MAX),
-            ),
+            connections: headcount::Headcount::default(),
             phase: AtomicU8::new(0),
             engine,
             settings,
@@ -226,12 +224,18 @@ impl App {
         }
     }
 
-    /// Reads keys and certificates again, and has the logs opened anew. Each is put in force by itself: if one of them cannot be used, it
-    /// stays as it was.
+    /// Returns the rules in force.
+    pub(crate) fn rules(&self) -> Arc<Rules> {
+        self.rules.read().clone()
+    }
+
+    /// Reads keys, certificates and limits again, and has the logs opened anew. Each is put in force by itself: if one of them cannot be
+    /// used, it stays as it was. Files may be slow, so this is not for a thread of the runtime.
     pub fn reload(&self) {
-        let Reread { access, tls } = &self.settings.reread;
-        if access.is_none() && tls.is_none() {
-            tracing::info!("no API keys or certificates to read again");
+        let _turn = self.reloading.lock();
+        let Reread { access, tls, bounds } = &self.settings.reread;
+        if access.is_none() && tls.is_none() && bounds.is_none() {
+            tracing::info!("no API keys, certificates or settings file to read again");
         }
         if let Some(read) = access {
             let read = read.0().map(|access| {
@@ -244,6 +248,10 @@ impl App {
             let read =
                 read.0().map(|tls| self.put_in_force(|rules| Rules { tls: Some(tls), ..rules }));
             self.tell_reload("certificates", "certificates", read);
+        }
+        if let Some(read) = bounds {
+            let read = read.0().map(|bounds| self.put_in_force(|rules| Rules { bounds, ..rules }));
+            self.tell_reload("limits", "limits", read);
         }
         let edge = &self.settings.edge;
         for journal in edge.access_log.iter().chain(&edge.audit_log) {

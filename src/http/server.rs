@@ -8,7 +8,7 @@
 //!                                                                                       closed with 1001, jobs pause
 //! SIGINT, and SIGHUP where the terminal that it was started from has gone: Draining at once
 //! a second SIGTERM, SIGINT or such SIGHUP: exit at once
-//! SIGHUP without a terminal: keys and certificates are read again, and logs are opened anew
+//! SIGHUP without a terminal: keys, certificates and limits are read again, and logs are opened anew
 //! a render thread that panicked: /healthz and /readyz 503, and the watchdog is no longer patted
 //! ```
 
@@ -232,7 +232,8 @@ async fn reserve_scenes(
     let mut scenes: Vec<_> = start.scenes.into_iter().map(at).collect();
     for Earlier { id, source, key, bytes, refusal } in earlier {
         if !scenes.iter().any(|(known, ..)| *known == id) {
-            app.uploads.keep(&id, app.uploads.known(key.as_deref(), bytes));
+            let limits = app.rules().bounds.uploads;
+            app.uploads.keep(&id, app.uploads.known(key.as_deref(), limits, bytes));
         }
         scenes.push((id, source, refusal));
     }
@@ -331,7 +332,7 @@ impl Signals {
     }
 
     /// Waits for a signal to stop and returns its name. A hangup that is no such signal has the rules read again.
-    async fn stop(&mut self, app: &App) -> &'static str {
+    async fn stop(&mut self, app: &Arc<App>) -> &'static str {
         loop {
             tokio::select! {
                 _ = self.terminate.recv() => return SIGTERM,
@@ -340,7 +341,9 @@ impl Signals {
                     if self.has_terminal {
                         return "SIGHUP";
                     }
-                    app.reload();
+                    // A disk that hangs must not hold up the signals that stop the server.
+                    let app = app.clone();
+                    tokio::task::spawn_blocking(move || app.reload());
                 }
             }
         }

@@ -12,6 +12,7 @@ use utoipa::ToSchema;
 
 use super::access::Quotas;
 use super::problem::{Kind, Problem};
+use super::telemetry::Telemetry;
 use super::{App, NoQuery, Owner, Phase, ROUTES, metrics as exposition, openapi_yaml};
 use crate::engine::{Limits, Readiness};
 use crate::plan::{self, Setting};
@@ -75,6 +76,27 @@ pub async fn metrics(State(app): State<Arc<App>>) -> Result<Response, Problem> {
     let text = app.metrics.exposition().map_err(Problem::internal)?;
     let content_type = HeaderValue::from_static(exposition::OPENMETRICS);
     Ok(([(header::CONTENT_TYPE, content_type)], text).into_response())
+}
+
+/// Sends metrics to a collector again and again, for as long as the process lives.
+pub async fn push_metrics(app: Arc<App>, telemetry: Arc<Telemetry>) {
+    let mut interval = tokio::time::interval(telemetry.interval());
+    interval.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    let mut is_failing = false;
+    loop {
+        interval.tick().await;
+        let Ok(text) = app.metrics.exposition() else { continue };
+        let pushed = telemetry.push(&text).await;
+        match pushed {
+            // Once, not each minute.
+            Err(error) if !is_failing => {
+                tracing::warn!(error, "the OpenTelemetry collector takes no metrics");
+                is_failing = true;
+            }
+            Err(_) => {}
+            Ok(()) => is_failing = false,
+        }
+    }
 }
 
 /// This contract.
@@ -229,13 +251,14 @@ pub async fn limits(
     Extension(owner): Extension<Owner>,
     _: NoQuery,
 ) -> Json<ServerLimits> {
-    let settings = &app.settings;
+    let (settings, rules) = (&app.settings, app.rules());
+    let bounds = &rules.bounds;
     let ms = |duration: Duration| u64::try_from(duration.as_millis()).unwrap_or(u64::MAX);
     Json(ServerLimits {
         engine: app.engine.limits(),
-        max_upload_bytes: settings.max_upload_bytes,
+        max_upload_bytes: bounds.max_upload_bytes,
         uploads: {
-            let (limits, held) = (app.uploads.limits(), app.uploads.held());
+            let (limits, held) = (&bounds.uploads, app.uploads.held());
             UploadLimits {
                 max_scenes: limits.scenes,
                 max_scenes_per_key: limits.scenes_per_key,
@@ -249,9 +272,9 @@ pub async fn limits(
         max_compare_pixels: super::compare::MOST_PIXELS,
         max_accuracy_pixels: crate::accuracy::service::MOST_PIXELS,
         frame_timeout_ms: ms(settings.frame_timeout),
-        max_streams: settings.streams.most,
-        max_streams_per_client: settings.streams.most_per_client,
-        stream_idle_ms: ms(settings.streams.idle),
+        max_streams: bounds.streams.most,
+        max_streams_per_client: bounds.streams.most_per_client,
+        stream_idle_ms: ms(bounds.streams.idle),
         max_stream_message_bytes: super::stream::MAX_MESSAGE_BYTES,
         max_stream_messages_per_second: super::stream::MOST_MESSAGES_PER_SECOND,
         jobs: app.jobs.as_ref().ok().map(|jobs| {
@@ -264,9 +287,9 @@ pub async fn limits(
                 bytes: jobs.used_bytes(),
                 ttl_ms: config.limits.ttl_ms,
                 max_drawing: config.limits.slots.drawing,
-                max_watchers: settings.watches.most,
-                max_watchers_per_client: settings.watches.most_per_client,
-                watch_ms: ms(settings.watches.longest),
+                max_watchers: bounds.watches.most,
+                max_watchers_per_client: bounds.watches.most_per_client,
+                watch_ms: ms(bounds.watches.longest),
             }
         }),
         key: owner.name.as_ref().map(|_| KeyLimits::of(&owner.quotas)),

@@ -533,3 +533,52 @@ fn signed_addresses_work_without_a_key() {
     hang_up(daemon.id());
     eventually("the end of the secret", || client.get(&closed).status == 401);
 }
+
+#[test]
+fn a_hangup_puts_new_limits_in_force() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("pointillist.toml");
+    let write = |text: &str| std::fs::write(&file, text).unwrap();
+    write("max-streams = 7\nmax-uploads = 1\nmax-batch = 3\n");
+    // A flag wins over the file, before and after.
+    let args = ["--config", file.to_str().unwrap(), "--max-watchers", "9"];
+    let daemon = Daemon::start(&args);
+    let client = daemon.client();
+    let limits = || {
+        let limits = client.get("/v1/limits").json();
+        let of = |name: &str| limits[name].as_u64().unwrap();
+        (of("max_streams"), limits["uploads"]["max_scenes"].as_u64().unwrap())
+    };
+    assert_eq!(limits(), (7, 1));
+    let ply = grid_ply();
+    let upload = |id: &str| {
+        let path = format!("/v1/scenes?id={id}&name=a.ply");
+        client.send("POST", &path, &[], Some(ply.as_bytes())).status
+    };
+    assert_eq!((upload("one"), upload("two")), (201, 429));
+    write(
+        "max-streams = 2\nmax-uploads = 2\nmax-watchers = 1\nmax-batch = 4\nmax-connections-per-address = 100\n",
+    );
+    hang_up(daemon.id());
+    eventually("new limits", || limits() == (2, 2));
+    assert_eq!((upload("two"), upload("three")), (201, 429));
+    let watchers = client.get("/v1/limits").json()["jobs"]["max_watchers"].clone();
+    assert!(watchers.is_null() || watchers == 9, "{watchers}");
+    // What a reload cannot change is named.
+    eventually("a word about the batches", || {
+        daemon
+            .log()
+            .lines()
+            .any(|line| line.contains("needs a restart") && line.contains("max-batch"))
+    });
+    // A file that cannot be used changes nothing.
+    write("max-streams = -1\n");
+    hang_up(daemon.id());
+    eventually("a complaint", || daemon.log().contains("the limits in force stay"));
+    assert_eq!(limits(), (2, 2));
+    // A rate holds from the next request on.
+    write("requests-per-second-per-address = 0.5\n");
+    hang_up(daemon.id());
+    eventually("a refusal", || client.get("/v1/limits").status == 429);
+    assert_eq!(client.get("/healthz").status, 200);
+}

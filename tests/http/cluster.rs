@@ -33,19 +33,35 @@ fn nats_server() -> Option<PathBuf> {
     found
 }
 
+/// How a NATS server knows its clients.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Entry {
+    Open,
+    /// By TLS and a password.
+    Password,
+    /// By tokens that an account has signed.
+    Credentials,
+}
+
 /// A NATS server, and the store of a cluster.
 struct Cluster {
     program: PathBuf,
     server: Child,
     port: u16,
     folder: tempfile::TempDir,
-    is_secured: bool,
+    entry: Entry,
+    /// The store, if it is no folder.
+    bucket: Option<Bucket>,
 }
 
 impl Drop for Cluster {
     fn drop(&mut self) {
         let _ = self.server.kill();
         let _ = self.server.wait();
+        if std::thread::panicking() {
+            let log = std::fs::read_to_string(self.folder.path().join("nats.log"));
+            eprintln!("log of the NATS server:\n{}", log.unwrap_or_default());
+        }
     }
 }
 
@@ -63,14 +79,13 @@ fn serve_nats(program: &Path, port: u16, folder: &Path) -> Child {
 
 impl Cluster {
     fn start() -> Option<Cluster> {
-        Cluster::start_with(false)
+        Cluster::start_with(Entry::Open)
     }
 
-    /// Starts a NATS server, which may be one with TLS and a password.
-    fn start_with(is_secured: bool) -> Option<Cluster> {
+    fn start_with(entry: Entry) -> Option<Cluster> {
         let program = nats_server()?;
         let folder = tempfile::tempdir().unwrap();
-        let config = if is_secured {
+        let config = if entry == Entry::Password {
             let made = rcgen::generate_simple_self_signed(["localhost".to_owned()]).unwrap();
             let [cert, key] = ["nats.pem", "nats.key"].map(|name| folder.path().join(name));
             std::fs::write(&cert, made.cert.pem()).unwrap();
@@ -79,6 +94,10 @@ impl Cluster {
                 "tls {{ cert_file: {cert:?}, key_file: {key:?} }}\n\
                  authorization {{ users: [ {{ user: pointillist, password: secret }} ] }}\n"
             )
+        } else if entry == Entry::Credentials {
+            let (config, credentials) = signed_entry();
+            std::fs::write(folder.path().join("user.creds"), credentials).unwrap();
+            config
         } else {
             String::new()
         };
@@ -86,7 +105,7 @@ impl Cluster {
         // This port was free a moment ago.
         let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let server = serve_nats(&program, port, folder.path());
-        Some(Cluster { program, server, port, folder, is_secured })
+        Some(Cluster { program, server, port, folder, entry, bucket: None })
     }
 
     fn kill_and_restart_broker(&mut self) {
@@ -103,20 +122,36 @@ impl Cluster {
     fn flags(&self) -> Vec<String> {
         let port = self.port;
         let path = |path: PathBuf| path.to_str().unwrap().to_owned();
-        let mut flags = vec!["--store".to_owned(), path(self.store()), "--nats".to_owned()];
-        if self.is_secured {
-            let ca = path(self.folder.path().join("nats.pem"));
-            let url = format!("tls://pointillist:secret@localhost:{port}");
-            flags.extend([url, "--nats-ca".to_owned(), ca]);
-        } else {
-            flags.push(format!("nats://127.0.0.1:{port}"));
+        let store = match &self.bucket {
+            Some(_) => Bucket::URL.to_owned(),
+            None => path(self.store()),
+        };
+        let mut flags = vec!["--store".to_owned(), store, "--nats".to_owned()];
+        let plain = format!("nats://127.0.0.1:{port}");
+        match self.entry {
+            Entry::Open => flags.push(plain),
+            Entry::Password => {
+                let ca = path(self.folder.path().join("nats.pem"));
+                let url = format!("tls://pointillist:secret@localhost:{port}");
+                flags.extend([url, "--nats-ca".to_owned(), ca]);
+            }
+            Entry::Credentials => {
+                let file = path(self.folder.path().join("user.creds"));
+                flags.extend([plain, "--nats-credentials".to_owned(), file]);
+            }
         }
         flags
     }
 
+    /// Variables with which daemons and workers reach the store.
+    fn environment(&self) -> Vec<(&'static str, &str)> {
+        self.bucket.as_ref().map_or_else(Vec::new, Bucket::environment)
+    }
+
     fn daemon(&self) -> Daemon {
         let flags = self.flags();
-        Daemon::start_in(name_path, &flags.iter().map(String::as_str).collect::<Vec<_>>())
+        let flags: Vec<&str> = flags.iter().map(String::as_str).collect();
+        Daemon::start_within(&self.environment(), name_path, &flags)
     }
 
     fn worker(&self, args: &[&str], environment: &[(&str, &str)]) -> Worker {
@@ -129,6 +164,7 @@ impl Cluster {
             .env("POINTILLIST_NO_CACHE", "true")
             .env("POINTILLIST_NO_PRIME", "true")
             .env("TMPDIR", self.folder.path())
+            .envs(self.environment())
             .envs(environment.iter().copied())
             .stdin(Stdio::null())
             .stderr(File::create(&log).unwrap())
@@ -148,6 +184,116 @@ impl Cluster {
             }
         }
         files
+    }
+}
+
+/// Returns the configuration of a NATS server that trusts one operator, and a user's file of credentials. The tokens are what
+/// `nsc` would write.
+fn signed_entry() -> (String, String) {
+    use base64::Engine;
+    use base64::engine::general_purpose::URL_SAFE_NO_PAD;
+    use nkeys::KeyPair;
+
+    let token = |issuer: &KeyPair, subject: &KeyPair, nats: Value| {
+        let head = json!({ "typ": "JWT", "alg": "ed25519-nkey" });
+        let claims = json!({
+            "jti": "test", "iat": 1_700_000_000, "name": "test",
+            "iss": issuer.public_key(), "sub": subject.public_key(), "nats": nats,
+        });
+        let [head, claims] = [head, claims].map(|part| URL_SAFE_NO_PAD.encode(part.to_string()));
+        let signature = issuer.sign(format!("{head}.{claims}").as_bytes()).unwrap();
+        format!("{head}.{claims}.{}", URL_SAFE_NO_PAD.encode(signature))
+    };
+    let (operator, user) = (KeyPair::new_operator(), KeyPair::new_user());
+    let [account, system] = [(); 2].map(|()| KeyPair::new_account());
+    let of_operator = token(&operator, &operator, json!({ "type": "operator", "version": 2 }));
+    let limits = json!({
+        "subs": -1, "data": -1, "payload": -1, "imports": -1, "exports": -1, "wildcards": true,
+        "conn": -1, "leaf": -1, "mem_storage": -1, "disk_storage": -1, "streams": -1, "consumer": -1,
+    });
+    let [of_account, of_system] =
+        [(&account, limits), (&system, json!({}))].map(|(key, limits)| {
+            token(&operator, key, json!({ "type": "account", "version": 2, "limits": limits }))
+        });
+    let of_user = token(
+        &account,
+        &user,
+        json!({ "type": "user", "version": 2, "subs": -1, "data": -1, "payload": -1, "pub": {}, "sub": {} }),
+    );
+    let config = format!(
+        "operator: {of_operator}\nresolver: MEMORY\nsystem_account: {}\n\
+         resolver_preload: {{ {}: {of_account}, {}: {of_system} }}\n",
+        system.public_key(),
+        account.public_key(),
+        system.public_key()
+    );
+    let seed = user.seed().unwrap();
+    let credentials = format!(
+        "-----BEGIN NATS USER JWT-----\n{of_user}\n------END NATS USER JWT------\n\n\
+         -----BEGIN USER NKEY SEED-----\n{seed}\n------END USER NKEY SEED------\n"
+    );
+    (config, credentials)
+}
+
+/// A bucket of an S3-compatible service: that of moto, from Python's package index.
+struct Bucket {
+    server: Child,
+    client: Client,
+    endpoint: String,
+}
+
+impl Bucket {
+    const URL: &str = "s3://films/below/this";
+
+    /// Starts the service and makes the bucket; `None` if the service is not installed.
+    fn start() -> Option<Bucket> {
+        let program = Path::new(env!("CARGO_MANIFEST_DIR")).join("target/python/bin/moto_server");
+        if !program.exists() {
+            let is_required =
+                std::env::var("POINTILLIST_PYTHON").is_ok_and(|path| !path.is_empty());
+            assert!(!is_required, "there is no {}", program.display());
+            eprintln!("!! SKIPPED: no moto_server; scripts/setup-python.sh installs one");
+            return None;
+        }
+        // This port was free a moment ago.
+        let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+        let port = address.port().to_string();
+        let server = Command::new(program)
+            .args(["-H", "127.0.0.1", "-p", &port])
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let bucket =
+            Bucket { server, client: Client::new(address), endpoint: format!("http://{address}") };
+        eventually("the service", || std::net::TcpStream::connect(address).is_ok());
+        let made = bucket.client.send("PUT", "/films", &[], None);
+        assert_eq!(made.status, 200, "{}", made.text());
+        Some(bucket)
+    }
+
+    fn environment(&self) -> Vec<(&'static str, &str)> {
+        vec![
+            ("AWS_ENDPOINT", &self.endpoint),
+            ("AWS_ALLOW_HTTP", "true"),
+            ("AWS_REGION", "us-east-1"),
+            ("AWS_ACCESS_KEY_ID", "id"),
+            ("AWS_SECRET_ACCESS_KEY", "secret"),
+        ]
+    }
+
+    /// Names of the objects.
+    fn names(&self) -> Vec<String> {
+        let listing = self.client.get("/films?list-type=2").text();
+        let keys = listing.split("<Key>").skip(1);
+        keys.map(|rest| rest.split_once("</Key>").unwrap().0.to_owned()).collect()
+    }
+}
+
+impl Drop for Bucket {
+    fn drop(&mut self) {
+        let _ = self.server.kill();
+        let _ = self.server.wait();
     }
 }
 
@@ -235,8 +381,27 @@ fn workers_draw_what_one_process_draws() {
     // Nothing of the film is left.
     assert_eq!(cluster.films(), Vec::<PathBuf>::new());
     for worker in &mut workers {
+        // A worker bakes what its frames need before it begins the first one.
+        assert!(!worker.log().contains("a run failed"), "{}", worker.log());
         assert!(worker.terminate(), "{}", worker.log());
     }
+}
+
+#[test]
+fn the_store_may_be_a_bucket() {
+    let (Some(bucket), Some(mut cluster)) = (Bucket::start(), Cluster::start()) else { return };
+    cluster.bucket = Some(bucket);
+    let daemon = cluster.daemon();
+    let client = daemon.client();
+    let mut workers = [(); 2].map(|()| cluster.worker(&[], &[]));
+    let id = create(&client, json!({}));
+    drawn(&client, &id, 3);
+    workers[0].kill();
+    ended(&client, &id, "done");
+    assert_eq!(manifest(&client, &id), alone(json!({})));
+    let names = cluster.bucket.as_ref().unwrap().names();
+    let are_assets = names.iter().all(|name| name.starts_with("below/this/assets/"));
+    assert!(are_assets && names.len() == 2, "{names:?}");
 }
 
 #[test]
@@ -353,8 +518,30 @@ fn a_patched_scene_is_drawn_by_the_daemon() {
 }
 
 #[test]
+fn a_broker_may_ask_for_credentials() {
+    let Some(cluster) = Cluster::start_with(Entry::Credentials) else { return };
+    let daemon = cluster.daemon();
+    let client = daemon.client();
+    let _worker = cluster.worker(&[], &[]);
+    let id = create(&client, json!({ "to": 19 }));
+    ended(&client, &id, "done");
+    // The server lets nobody else in.
+    let without = Command::new(env!("CARGO_BIN_EXE_pointillist"))
+        .args(["worker", "--nats", &format!("nats://127.0.0.1:{}", cluster.port)])
+        .args(["--store", cluster.store().to_str().unwrap(), "--no-prime", "--no-cache"])
+        .stdin(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut without = Worker { child: without, log: PathBuf::new() };
+    let lines = std::io::BufReader::new(without.child.stderr.take().unwrap());
+    let refused = std::io::BufRead::lines(lines).map_while(Result::ok);
+    assert!(refused.map(|line| line.to_lowercase()).any(|line| line.contains("authorization")));
+}
+
+#[test]
 fn a_broker_may_ask_for_tls_and_a_password() {
-    let Some(cluster) = Cluster::start_with(true) else { return };
+    let Some(cluster) = Cluster::start_with(Entry::Password) else { return };
     let daemon = cluster.daemon();
     let client = daemon.client();
     let _worker = cluster.worker(&[], &[]);

@@ -80,6 +80,17 @@ impl Daemon {
         Daemon::spawn(folder, args, &[])
     }
 
+    /// As [`Daemon::start_in`], with more variables of the environment.
+    pub fn start_within(
+        environment: &[(&str, &str)],
+        prepare: impl FnOnce(&Path),
+        args: &[&str],
+    ) -> Daemon {
+        let folder = grid_folder();
+        prepare(&folder.path().join("root"));
+        Daemon::spawn(folder, args, environment)
+    }
+
     /// Starts a daemon with the scene `grid` and a JSON log of all our modules.
     pub fn start_talkative(args: &[&str]) -> Daemon {
         Daemon::start_talkative_in(|_| {}, args)

@@ -74,7 +74,9 @@ fn sighup_reads_the_keys_again() {
 fn a_hangup_without_keys_ends_nothing() {
     let daemon = Daemon::start(&[]);
     signal(&daemon, "-HUP");
-    eventually("a line", || daemon.log().contains("no API keys or certificates to read again"));
+    eventually("a line", || {
+        daemon.log().contains("no API keys, certificates or settings file to read again")
+    });
     assert_eq!(daemon.client().get(FRAME).status, 200);
 }
 

@@ -4,7 +4,8 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use pointillist::http::access::{Access, Reread};
+use pointillist::http::access::Access;
+use pointillist::http::rules::{Bounds, Reread};
 use pointillist::http::{Edge, Settings, StreamLimits, UploadLimits, Uploads, WatchLimits};
 
 use super::client::{raw, read_to_close};
@@ -140,22 +141,27 @@ pub fn settings(root: &Path) -> Settings {
         root: root.to_owned(),
         access: Access::Open { cors_origins: Vec::new(), only_loopback: true },
         cors_origins: Vec::new(),
-        max_upload_bytes: 1 << 20,
-        upload_limits: UploadLimits {
-            scenes: 1,
-            scenes_per_key: 1,
-            bytes: 1 << 20,
-            bytes_per_key: 1 << 20,
-        },
         max_connections: 4,
         frame_timeout: Duration::from_secs(60),
         read_timeout: Duration::from_secs(10),
         drain: Duration::from_secs(1),
         drain_delay: Duration::ZERO,
         uploads: Uploads::Kept,
+        bounds: Bounds {
+            trusted_proxies: Vec::new(),
+            requests_per_second_per_address: None,
+            max_connections_per_address: None,
+            max_upload_bytes: 1 << 20,
+            uploads: UploadLimits {
+                scenes: 1,
+                scenes_per_key: 1,
+                bytes: 1 << 20,
+                bytes_per_key: 1 << 20,
+            },
+            streams: StreamLimits { most: 4, most_per_client: 4, idle: Duration::from_secs(10) },
+            watches: WatchLimits { most: 4, most_per_client: 4, longest: Duration::from_secs(10) },
+        },
         reread: Reread::default(),
-        streams: StreamLimits { most: 4, most_per_client: 4, idle: Duration::from_secs(10) },
-        watches: WatchLimits { most: 4, most_per_client: 4, longest: Duration::from_secs(10) },
         edge: Edge::default(),
     }
 }

@@ -34,5 +34,6 @@ mod servers;
 mod soak;
 mod stream;
 mod stream_ends;
+mod telemetry;
 mod uploads;
 mod viewer;

@@ -1,19 +1,41 @@
-//! Settings of what stands between the network and the handlers: keys, certificates, trusted proxies, limits of addresses, logs.
+//! Settings of what stands between the network and the handlers: keys, certificates, limits, logs; and what a reload does with them.
 
+use std::collections::BTreeSet;
 use std::net::{SocketAddr, TcpListener};
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::{Context, ensure};
+use parking_lot::Mutex;
 
-use super::{ServeArgs, access, number};
-use crate::http::Edge;
-use crate::http::access::{Reader, Reread};
+use super::{ServeArgs, access, number, with_file};
 use crate::http::journal::Journal;
-use crate::http::{address, tls};
+use crate::http::rules::{Bounds, Reader, Reread};
+use crate::http::telemetry::Telemetry;
+use crate::http::{Edge, StreamLimits, UploadLimits, WatchLimits, address, tls};
 
-/// Reads the settings, opens the logs, and reads the certificate.
-pub(super) fn edge(args: &ServeArgs) -> anyhow::Result<Edge> {
+/// Settings that a reload puts in force, by their flags. Changes of others need a restart.
+const RELOADED: [&str; 15] = [
+    "api-keys",
+    "max-connections-per-address",
+    "max-streams",
+    "max-streams-per-client",
+    "max-upload-mib",
+    "max-uploads",
+    "max-uploads-per-key",
+    "max-watchers",
+    "max-watchers-per-client",
+    "requests-per-second-per-address",
+    "stream-idle-seconds",
+    "trusted-proxies",
+    "upload-disk-mib",
+    "upload-disk-mib-per-key",
+    "watch-seconds",
+];
+
+/// Reads the limits that a reload may change.
+pub(super) fn bounds(args: &ServeArgs) -> anyhow::Result<Bounds> {
     let proxies = args.trusted_proxies.iter().map(|range| address::parse_range(range));
     let trusted_proxies = proxies
         .collect::<Result<Vec<_>, _>>()
@@ -26,6 +48,41 @@ pub(super) fn edge(args: &ServeArgs) -> anyhow::Result<Edge> {
     let connections = args.max_connections_per_address;
     let connections =
         connections.map(|most| number("max-connections-per-address", Some(most), most, 1));
+    let seconds = |name, value, default| number(name, value, default, 1).map(Duration::from_secs);
+    let mib = |name, value, default| {
+        number(name, value, default, 1).map(|mib: u64| mib.saturating_mul(1 << 20))
+    };
+    Ok(Bounds {
+        trusted_proxies,
+        requests_per_second_per_address: rate,
+        max_connections_per_address: connections.transpose()?,
+        max_upload_bytes: mib("max-upload-mib", args.max_upload_mib, 4096)?,
+        uploads: UploadLimits {
+            scenes: number("max-uploads", args.max_uploads, 1000, 1)?,
+            scenes_per_key: number("max-uploads-per-key", args.max_uploads_per_key, 250, 1)?,
+            bytes: mib("upload-disk-mib", args.upload_disk_mib, 65_536)?,
+            bytes_per_key: mib("upload-disk-mib-per-key", args.upload_disk_mib_per_key, 16_384)?,
+        },
+        streams: StreamLimits {
+            most: number("max-streams", args.max_streams, 64, 0)?,
+            most_per_client: number("max-streams-per-client", args.max_streams_per_client, 16, 1)?,
+            idle: seconds("stream-idle-seconds", args.stream_idle_seconds, 60)?,
+        },
+        watches: WatchLimits {
+            most: number("max-watchers", args.max_watchers, 256, 0)?,
+            most_per_client: number(
+                "max-watchers-per-client",
+                args.max_watchers_per_client,
+                32,
+                1,
+            )?,
+            longest: seconds("watch-seconds", args.watch_seconds, 3600)?,
+        },
+    })
+}
+
+/// Opens the logs, and reads the certificate.
+pub(super) fn edge(args: &ServeArgs) -> anyhow::Result<Edge> {
     let log = |flag: &str, path: Option<&Path>| {
         let opened = path.map(|path| {
             let journal = Journal::open(path);
@@ -34,14 +91,17 @@ pub(super) fn edge(args: &ServeArgs) -> anyhow::Result<Edge> {
         anyhow::Ok(opened.transpose()?.map(Arc::new))
     };
     Ok(Edge {
-        trusted_proxies,
-        requests_per_second_per_address: rate,
-        max_connections_per_address: connections.transpose()?,
         metrics_apart: args.metrics_listen.is_some(),
         tls: certificate(args)?,
         access_log: log("access-log", args.access_log.as_deref())?,
         audit_log: log("audit-log", args.audit_log.as_deref())?,
+        telemetry: args.otlp.as_deref().map(telemetry).transpose()?,
     })
+}
+
+fn telemetry(url: &str) -> anyhow::Result<Arc<Telemetry>> {
+    let opened = Telemetry::open(url);
+    opened.map(Arc::new).map_err(|reason| anyhow::anyhow!("--otlp {url}: {reason}"))
 }
 
 /// Reads certificate and private key, if the server has them.
@@ -54,8 +114,9 @@ fn certificate(args: &ServeArgs) -> anyhow::Result<Option<tls::Tls>> {
     }
 }
 
-/// Returns what a reload reads: keys and certificates, if there are any.
-pub(super) fn reread(args: &ServeArgs, address: SocketAddr) -> Reread {
+/// Returns what a reload reads: keys, certificates and the file of settings, where they are given. `given` has the flags and
+/// the environment alone, which no reload changes; `args` has the file's settings too.
+pub(super) fn reread(given: &ServeArgs, args: &ServeArgs, address: SocketAddr) -> Reread {
     fn reader<T>(read: impl Fn() -> anyhow::Result<T> + Send + Sync + 'static) -> Reader<T> {
         Reader(Arc::new(move || read().map_err(|error| format!("{error:#}"))))
     }
@@ -68,7 +129,34 @@ pub(super) fn reread(args: &ServeArgs, address: SocketAddr) -> Reread {
             let args = args.clone();
             reader(move || certificate(&args)?.context("--tls-cert"))
         }),
+        bounds: given.config.as_ref().map(|path| {
+            let (given, path) = (given.clone(), path.clone());
+            let before = Mutex::new(file_table(&path).unwrap_or_default());
+            reader(move || {
+                let bounds = bounds(&with_file(given.clone())?)?;
+                let now = file_table(&path)?;
+                for name in waiting_changes(&before.lock(), &now) {
+                    tracing::warn!(setting = name, "this change needs a restart");
+                }
+                *before.lock() = now;
+                Ok(bounds)
+            })
+        }),
     }
+}
+
+fn file_table(path: &Path) -> anyhow::Result<toml::Table> {
+    let text = std::fs::read_to_string(path);
+    Ok(text.with_context(|| format!("cannot read {}", path.display()))?.parse()?)
+}
+
+/// Returns the settings that a file's reload does not put in force although they have changed.
+fn waiting_changes(before: &toml::Table, now: &toml::Table) -> Vec<String> {
+    let names: BTreeSet<&String> = before.keys().chain(now.keys()).collect();
+    let waits = |name: &&String| {
+        !RELOADED.contains(&name.as_str()) && before.get(name.as_str()) != now.get(name.as_str())
+    };
+    names.into_iter().filter(waits).cloned().collect()
 }
 
 /// Returns the first socket that systemd passes to this process (socket activation).

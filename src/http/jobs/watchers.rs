@@ -8,7 +8,6 @@ use tokio::time::Instant;
 use crate::engine::Client;
 use crate::http::App;
 use crate::http::access::signed::Caps;
-use crate::http::headcount::Headcount;
 use crate::http::problem::{Kind, Problem};
 
 /// Limits of job watchers.
@@ -22,33 +21,28 @@ pub struct WatchLimits {
     pub longest: Duration,
 }
 
-impl WatchLimits {
-    pub fn headcount(&self) -> Headcount {
-        Headcount::new(self.most, self.most_per_client)
-    }
-}
-
 /// A watcher's place; dropping it frees the place.
 pub struct Watcher {
     app: Arc<App>,
     client: Client,
     /// End of the answer.
     pub until: Instant,
+    longest: Duration,
 }
 
 impl Watcher {
     /// # Errors
     /// 503 when the limit is reached.
     pub fn take(app: &Arc<App>, client: Client, caps: &Caps) -> Result<Watcher, Problem> {
-        if !app.watchers.take(client) {
+        let WatchLimits { most, most_per_client, longest } = app.rules().bounds.watches;
+        if !app.watchers.take(client, most, most_per_client) {
             return Err(Problem::new(Kind::Busy, "too many clients follow jobs").accepted(
                 "fewer at a time: see `max_watchers` and `max_watchers_per_client` in `jobs` of GET /v1/limits; or poll GET /v1/jobs/{id}",
             ).retry_after(Duration::from_secs(1)));
         }
         let left = caps.until.map(|end| end.duration_since(SystemTime::now()).unwrap_or_default());
-        let longest = app.settings.watches.longest;
         let until = Instant::now() + left.map_or(longest, |left| left.min(longest));
-        Ok(Watcher { app: app.clone(), client, until })
+        Ok(Watcher { app: app.clone(), client, until, longest })
     }
 
     pub fn is_over(&self) -> bool {
@@ -57,10 +51,7 @@ impl Watcher {
 
     /// Returns the reason for ending the answer.
     pub fn reason(&self) -> String {
-        format!(
-            "this answer reached its limit of {} seconds",
-            self.app.settings.watches.longest.as_secs()
-        )
+        format!("this answer reached its limit of {} seconds", self.longest.as_secs())
     }
 }
 

@@ -100,7 +100,7 @@ pub async fn mjpeg(
     };
     let boundary = boundary();
     let content_type = format!("multipart/x-mixed-replace; boundary={boundary}");
-    let film = Watched::new(parts(playback, first, boundary), app.settings.streams.idle);
+    let film = Watched::new(parts(playback, first, boundary), app.rules().bounds.streams.idle);
     let mut response = Response::new(Body::from_stream(film));
     let headers = response.headers_mut();
     let content_type = HeaderValue::from_str(&content_type).map_err(Problem::internal)?;

@@ -21,6 +21,7 @@ pub struct StreamLimits {
 }
 
 /// Counts the open streams.
+#[derive(Default)]
 pub struct Streams {
     count: Headcount,
     draining: watch::Sender<bool>,
@@ -33,13 +34,6 @@ pub struct Place {
 }
 
 impl Streams {
-    pub fn new(limits: StreamLimits) -> Self {
-        Self {
-            count: Headcount::new(limits.most, limits.most_per_client),
-            draining: watch::Sender::new(false),
-        }
-    }
-
     /// Tells all streams to end.
     pub fn drain(&self) {
         self.draining.send_replace(true);
@@ -60,10 +54,9 @@ impl Streams {
 impl Place {
     /// Returns `None` when the limit is reached.
     pub fn take(app: &Arc<App>, client: Client) -> Option<Place> {
-        let most = app.settings.streams.most_per_client;
-        let most =
-            app.quotas_of(client).streams.map_or(most, |own| own.min(app.settings.streams.most));
-        app.streams.count.take_within(client, most).then(|| {
+        let StreamLimits { most, most_per_client, .. } = app.rules().bounds.streams;
+        let own = app.quotas_of(client).streams.map_or(most_per_client, |own| own.min(most));
+        app.streams.count.take(client, most, own).then(|| {
             app.metrics.streams_open.inc();
             Place { app: app.clone(), client }
         })

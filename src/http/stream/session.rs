@@ -223,7 +223,7 @@ impl Session {
 
     /// Returns the time of the next timer.
     fn wake_at(&self, now: Instant) -> Instant {
-        let idle = self.heard_at + self.app.settings.streams.idle;
+        let idle = self.heard_at + self.app.rules().bounds.streams.idle;
         let late = self.asked.front().map(|asked| asked.at + self.app.settings.frame_timeout);
         let retry = self.retry_at.filter(|_| self.schedule.wanted(now).is_some());
         let reminder = self.reminder(now).map(|(_, at)| at);
@@ -278,7 +278,7 @@ impl Session {
             let problem = Problem::parameter("ack", reason, accepted);
             self.tell(&Event::Problem { seq: None, problem })?;
         }
-        if now >= self.heard_at + self.app.settings.streams.idle {
+        if now >= self.heard_at + self.app.rules().bounds.streams.idle {
             return Err(End::Close(Close::Idle));
         }
         Ok(())

@@ -240,7 +240,8 @@ fn begin(app: &Arc<App>, found: Found) -> Option<Loading> {
     let is_loaded = |id: &str| app.engine.scene(id).is_ok();
     match app.registry.reserve(&id, app.engine.admission(), is_loaded) {
         Ok(reservation) => {
-            app.uploads.keep(&id, app.uploads.known(key.as_deref(), bytes));
+            let limits = app.rules().bounds.uploads;
+            app.uploads.keep(&id, app.uploads.known(key.as_deref(), limits, bytes));
             Some(tokio::spawn(load(app.clone(), reservation, source, Origin::Kept)))
         }
         Err(problem) => {

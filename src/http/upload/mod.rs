@@ -84,10 +84,13 @@ pub async fn create(
     let target = Target::from_uri(&parts.uri)?;
     refuse_while_draining(&app)?;
     app.settings.uploads.accepted()?;
-    let share = app.uploads.admit(owner.name.as_deref(), &owner.quotas)?;
+    let share = {
+        let limits = app.rules().bounds.uploads;
+        app.uploads.admit(owner.name.as_deref(), limits, &owner.quotas)?
+    };
     // Reserve a given id before the body is received, so that a clash is answered at once.
     let reservation = target.id.as_deref().map(|id| reserve(&app, id)).transpose()?;
-    let limit = app.settings.max_upload_bytes;
+    let limit = app.rules().bounds.max_upload_bytes;
     body::check_length(&headers, limit)?;
     let admission = reservation.as_ref().map(|reservation| reservation.admission().clone());
     let mut budget = Budget {
@@ -581,7 +584,7 @@ mod tests {
         let patience = body::Patience::new(Duration::from_secs(1));
         let limits =
             quota::UploadLimits { scenes: 1, scenes_per_key: 1, bytes: 99, bytes_per_key: 99 };
-        let share = quota::Quota::new(limits).admit(None, &Default::default()).unwrap();
+        let share = quota::Quota::default().admit(None, limits, &Default::default()).unwrap();
         let admission = Admission::default();
         let mut budget = Budget { left: 10, limit: 10, share, admission, patience };
         budget.take(10).unwrap();

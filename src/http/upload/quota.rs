@@ -35,10 +35,9 @@ pub struct Held {
     pub bytes: u64,
 }
 
-/// Limits on uploads and their current use; clones share both.
-#[derive(Clone)]
+/// The current use of uploads' limits; clones share it.
+#[derive(Clone, Default)]
 pub struct Quota {
-    limits: UploadLimits,
     tally: Arc<Mutex<Tally>>,
     /// Shares of uploads by id.
     kept: Arc<Mutex<HashMap<String, Share>>>,
@@ -59,14 +58,6 @@ pub struct Share {
 }
 
 impl Quota {
-    pub fn new(limits: UploadLimits) -> Quota {
-        Quota { limits, tally: Arc::default(), kept: Arc::default() }
-    }
-
-    pub fn limits(&self) -> &UploadLimits {
-        &self.limits
-    }
-
     /// Keeps the share of an upload until it is forgotten.
     pub fn keep(&self, id: &str, share: Share) {
         self.kept.lock().insert(id.to_owned(), share);
@@ -86,12 +77,17 @@ impl Quota {
         self.tally.lock().all
     }
 
-    /// Reserves one scene for the key that uploads it, within the key's own limits.
+    /// Reserves one scene for the key that uploads it, within the server's limits and the key's own.
     ///
     /// # Errors
     /// 429 when the number of scenes has reached its limit.
-    pub fn admit(&self, key: Option<&str>, own: &Quotas) -> Result<Share, Problem> {
-        let limits = self.limits.within(own);
+    pub fn admit(
+        &self,
+        key: Option<&str>,
+        limits: UploadLimits,
+        own: &Quotas,
+    ) -> Result<Share, Problem> {
+        let limits = limits.within(own);
         let mut tally = self.tally.lock();
         let full = |found: u64, limit: u64, whose: &str| {
             let detail = format!("there are {found} uploaded scenes{whose}; the limit is {limit}");
@@ -113,9 +109,9 @@ impl Quota {
     }
 
     /// Counts an upload that is already on disk, even beyond the limits.
-    pub fn known(&self, key: Option<&str>, bytes: u64) -> Share {
+    pub fn known(&self, key: Option<&str>, limits: UploadLimits, bytes: u64) -> Share {
         self.tally.lock().add(key, Held { scenes: 1, bytes });
-        self.share(key, bytes, self.limits)
+        self.share(key, bytes, limits)
     }
 
     fn share(&self, key: Option<&str>, bytes: u64, limits: UploadLimits) -> Share {
@@ -202,16 +198,16 @@ mod tests {
 
     #[test]
     fn scenes_are_counted_in_all_and_for_each_key() {
-        let quota = Quota::new(LIMITS);
-        let first = quota.admit(Some("a"), &Quotas::default()).unwrap();
-        let _second = quota.admit(Some("a"), &Quotas::default()).unwrap();
-        let refused = quota.admit(Some("a"), &Quotas::default()).err().unwrap();
+        let quota = Quota::default();
+        let first = quota.admit(Some("a"), LIMITS, &Quotas::default()).unwrap();
+        let _second = quota.admit(Some("a"), LIMITS, &Quotas::default()).unwrap();
+        let refused = quota.admit(Some("a"), LIMITS, &Quotas::default()).err().unwrap();
         assert_eq!(refused.status(), 429);
         assert!(refused.detail.contains("2 uploaded scenes of this key"), "{}", refused.detail);
-        let _third = quota.admit(Some("b"), &Quotas::default()).unwrap();
+        let _third = quota.admit(Some("b"), LIMITS, &Quotas::default()).unwrap();
         assert!(
             quota
-                .admit(None, &Quotas::default())
+                .admit(None, LIMITS, &Quotas::default())
                 .err()
                 .unwrap()
                 .detail
@@ -219,15 +215,15 @@ mod tests {
         );
         drop(first);
         assert_eq!(quota.held(), Held { scenes: 2, bytes: 0 });
-        assert!(quota.admit(Some("a"), &Quotas::default()).is_ok());
+        assert!(quota.admit(Some("a"), LIMITS, &Quotas::default()).is_ok());
     }
 
     #[test]
     fn a_key_may_have_limits_of_its_own() {
-        let quota = Quota::new(LIMITS);
+        let quota = Quota::default();
         let own = Quotas { scenes: Some(1), bytes: Some(10), ..Quotas::default() };
-        let mut only = quota.admit(Some("a"), &own).unwrap();
-        assert!(quota.admit(Some("a"), &own).is_err());
+        let mut only = quota.admit(Some("a"), LIMITS, &own).unwrap();
+        assert!(quota.admit(Some("a"), LIMITS, &own).is_err());
         only.take(10).unwrap();
         assert_eq!(only.take(1).unwrap_err().status(), 507);
         quota.keep("town", only);
@@ -237,12 +233,12 @@ mod tests {
 
     #[test]
     fn bytes_are_counted_in_all_and_for_each_key() {
-        let quota = Quota::new(LIMITS);
-        let mut a = quota.admit(Some("a"), &Quotas::default()).unwrap();
+        let quota = Quota::default();
+        let mut a = quota.admit(Some("a"), LIMITS, &Quotas::default()).unwrap();
         a.take(60).unwrap();
         let refused = a.take(1).unwrap_err();
         assert_eq!(refused.status(), 507);
-        let mut b = quota.admit(Some("b"), &Quotas::default()).unwrap();
+        let mut b = quota.admit(Some("b"), LIMITS, &Quotas::default()).unwrap();
         b.take(40).unwrap();
         let refused = b.take(5).unwrap_err();
         assert!(refused.detail.contains("needs 45 bytes"), "{}", refused.detail);
@@ -251,7 +247,7 @@ mod tests {
         b.take(5).unwrap();
         assert_eq!(quota.held(), Held { scenes: 1, bytes: 45 });
         // Files on disk are counted even if earlier limits were larger.
-        let known = quota.known(None, 1000);
+        let known = quota.known(None, LIMITS, 1000);
         assert_eq!(b.take(1).unwrap_err().status(), 507);
         drop((known, b));
         assert_eq!(quota.held(), Held::default());
