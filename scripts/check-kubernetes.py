@@ -1,12 +1,16 @@
-"""Checks the manifests of deploy/kubernetes without a cluster, and that broken ones are refused.
+"""Checks the manifests of deploy/kubernetes without a cluster, alone and with the component films/, and that broken ones are refused.
 
     target/python/bin/python scripts/check-kubernetes.py [BINARY]
 
 The schemas are those of Kubernetes, strict: unknown fields are refused. The other rules are about what schemas cannot say: names
-that must exist, and what every container has to have. With the daemon's BINARY, environment variables are held against its flags.
+that must exist, what every container has to have, and who may talk to whom. With the program's BINARY, environment variables are
+held against its flags.
 """
 
 import copy
+import functools
+import itertools
+import json
 import re
 import subprocess
 import sys
@@ -15,31 +19,94 @@ from pathlib import Path
 import kubernetes_validate
 import yaml
 
-FOLDER = Path(__file__).resolve().parent.parent / "deploy/kubernetes"
+REPOSITORY = Path(__file__).resolve().parent.parent
+BASE = REPOSITORY / "deploy/kubernetes"
+FILMS = BASE / "films"
 VERSIONS = ["1.29", "1.37"]
 WORKLOADS = ("Deployment", "StatefulSet")
 # Made by hand, since its content is secret: docs/kubernetes.md.
-GIVEN_SECRETS = {"pointillist-api-keys"}
+GIVEN_SECRETS = {"pointillist-api-keys", "pointillist-nats"}
+# Who may open connections to whom, by the pods' label `component`. The balancer's policy names all pods that have the port `http`.
+TALKS = {("balancer", "renderer"), ("balancer", "keeper"), ("balancer", "balancer"), ("balancer", "DNS")}
+FILM_TALKS = {("keeper", "nats"), ("worker", "nats"), ("keeper", "DNS"), ("worker", "DNS")}
+# A worker that stops finishes and stores the frames on the GPU, and answers to NATS take up to 5 s each.
+WORKER_GRACE = 60
+POINTILLIST_IMAGE = "pointillist:"
 
 
-def load(folder):
-    """Returns the kustomization and the documents of its resources, each with its file's name."""
-    kustomization = yaml.safe_load((folder / "kustomization.yaml").read_text())
-    documents = []
-    for name in kustomization["resources"]:
-        documents += [(name, document) for document in yaml.safe_load_all((folder / name).read_text()) if document]
-    return kustomization, documents
+def read_kustomization(folder):
+    return yaml.safe_load((folder / "kustomization.yaml").read_text())
 
 
-def schema_faults(name, document):
+def read_settings(file):
+    lines = file.read_text().splitlines()
+    return dict(line.split("=", 1) for line in lines if line and not line.startswith("#"))
+
+
+def apply_patch(document, operations):
+    """Applies a JSON patch of the operations `test` and `add`, as kustomize does."""
+    for operation in operations:
+        *steps, last = operation["path"].strip("/").split("/")
+        place = document
+        for step in steps:
+            place = place[int(step) if isinstance(place, list) else step]
+        if operation["op"] == "add" and last == "-":
+            place.append(operation["value"])
+        elif operation["op"] == "add" and isinstance(place, dict) and last not in place:
+            place[last] = operation["value"]
+        elif operation["op"] != "test" or place[last] != operation["value"]:
+            sys.exit(f"FAULT: the operation {operation} cannot be applied to {document['kind']} {document['metadata']['name']}")
+
+
+def load(*folders):
+    """Returns the documents of kustomizations, each with its file's name, and the settings of the ConfigMaps that they generate.
+
+    Later folders are components, whose patches change documents of earlier ones.
+    """
+    documents, maps = [], {}
+    for folder in folders:
+        kustomization = read_kustomization(folder)
+        for name in kustomization["resources"]:
+            path = folder / name
+            documents += [(str(path.relative_to(BASE)), document) for document in yaml.safe_load_all(path.read_text()) if document]
+        for generated in kustomization["configMapGenerator"]:
+            maps[generated["name"]] = {}
+            for name in generated.get("envs", []):
+                maps[generated["name"]] |= read_settings(folder / name)
+        for patch in kustomization.get("patches", []):
+            kind, name = patch["target"]["kind"], patch["target"]["name"]
+            if all((kind, name) != (document["kind"], document["metadata"]["name"]) for _, document in documents):
+                sys.exit(f"FAULT: {folder / patch['path']}: there is no {kind} {name}")
+            apply_patch(of_kind(documents, kind, name), yaml.safe_load((folder / patch["path"]).read_text()))
+    return documents, maps
+
+
+def folder_faults(folder, kind):
+    """Lists files that the kustomization of a folder misses or does not have."""
+    kustomization = read_kustomization(folder)
+    if kustomization["kind"] != kind:
+        yield f"{folder.name}/kustomization.yaml: kind is {kustomization['kind']}, not {kind}"
+    here = {path.name for path in folder.iterdir() if path.is_file()} - {"kustomization.yaml"}
+    used = set(kustomization["resources"]) | {patch["path"] for patch in kustomization.get("patches", [])}
+    for generated in kustomization["configMapGenerator"]:
+        used |= set(generated.get("envs", []) + generated.get("files", []))
+    for name in sorted(here ^ used):
+        yield f"{folder.name}/kustomization.yaml and the folder differ in {name}"
+
+
+@functools.cache
+def schema_faults(name, text):
+    """Lists what the schemas refuse in a document, which is given as JSON so that equal documents are validated once."""
+    document, found = json.loads(text), []
     for version in VERSIONS:
         try:
             kubernetes_validate.validate(document, version, strict=True)
         except kubernetes_validate.ValidationError as error:
             place = ".".join(str(step) for step in error.absolute_path)
-            yield f"{name}: {document.get('kind')}: {place}: {error.message[:200]} (Kubernetes {version})"
+            found.append(f"{name}: {document.get('kind')}: {place}: {error.message[:200]} (Kubernetes {version})")
         except kubernetes_validate.SchemaNotFoundError as error:
-            yield f"{name}: {error.message}"
+            found.append(f"{name}: {error.message}")
+    return found
 
 
 def matches(selector, labels):
@@ -67,7 +134,7 @@ def container_faults(where, pod, container):
             if resource not in container.get("resources", {}).get(kind, {}):
                 yield f"{where}: resources.{kind}.{resource} is missing"
     for probe in ("livenessProbe", "readinessProbe"):
-        if "httpGet" not in container.get(probe, {}):
+        if "httpGet" not in container.get(probe, {}) and not is_worker(container):
             yield f"{where}: {probe} is missing"
     for probe in ("startupProbe", "livenessProbe", "readinessProbe"):
         port = container.get(probe, {}).get("httpGet", {}).get("port")
@@ -81,33 +148,135 @@ def container_faults(where, pod, container):
             yield f"{where}: volumeMounts names {mount['name']!r}; the pod has {sorted(volumes)}"
 
 
-def daemon_faults(where, container, settings, flags):
+def is_worker(container):
+    return container.get("args") == ["worker"]
+
+
+def variables(container, maps):
+    """Returns the environment of a container."""
+    found = {}
+    for source in container.get("envFrom", []):
+        found |= maps.get(source["configMapRef"]["name"], {})
+    return found | {variable["name"]: variable.get("value", "") for variable in container.get("env", [])}
+
+
+def variable_faults(where, container, maps):
+    known = set()
+    for source in container.get("envFrom", []):
+        name = source["configMapRef"]["name"]
+        if name not in maps:
+            yield f"{where}: there is no ConfigMap {name}"
+        known |= maps.get(name, {}).keys()
+    for variable in container.get("env", []):
+        secret = variable.get("valueFrom", {}).get("secretKeyRef", {}).get("name")
+        if secret is not None and secret not in GIVEN_SECRETS:
+            yield f"{where}: nobody makes the Secret {secret}"
+        for reference in references(variable):
+            # Kubernetes leaves such a reference as it stands.
+            if reference not in known:
+                yield f"{where}: {variable['name']} uses $({reference}), which no variable above it sets"
+        known.add(variable["name"])
+
+
+def references(variable):
+    return re.findall(r"\$\((\w+)\)", variable.get("value", ""))
+
+
+def program_faults(where, container, settings, flags, grace):
+    """Lists faults of `pointillist serve` and `pointillist worker`."""
+    command = container["args"][0]
+    used = {reference for variable in container.get("env", []) for reference in references(variable)}
+    for name in sorted(settings.keys() - used):
+        if flags is not None and name not in flags[command]:
+            yield f"{where}: {name} is no setting of `pointillist {command}`"
+    for name, other in itertools.permutations(("POINTILLIST_NATS", "POINTILLIST_STORE")):
+        if name not in settings and (other in settings or command == "worker"):
+            yield f"{where}: {name} is missing"
+    store = settings.get("POINTILLIST_STORE", "")
+    if store.startswith("/") and store not in {mount["mountPath"] for mount in container["volumeMounts"]}:
+        yield f"{where}: POINTILLIST_STORE={store} is no mounted volume"
+    yield from worker_faults(where, container, grace) if command == "worker" else daemon_faults(where, container, settings, grace)
+
+
+def daemon_faults(where, container, settings, grace):
     """A daemon is not ready while it loads or drains, and alive all the same."""
-    paths = {probe: container.get(probe, {}).get("httpGet", {}).get("path") for probe in ("startupProbe", "livenessProbe", "readinessProbe")}
     wanted = {"startupProbe": "/healthz", "livenessProbe": "/healthz", "readinessProbe": "/readyz"}
     for probe, path in wanted.items():
-        if paths[probe] != path:
-            yield f"{where}: {probe} asks {paths[probe]}, not {path}"
-    names = set(settings) | {variable["name"] for variable in container.get("env", [])}
-    for name in sorted(names):
-        if flags is not None and name not in flags:
-            yield f"{where}: {name} is no setting of `pointillist serve`"
+        asked = container.get(probe, {}).get("httpGet", {}).get("path")
+        if asked != path:
+            yield f"{where}: {probe} asks {asked}, not {path}"
+    least = int(settings.get("POINTILLIST_DRAIN_DELAY", 0)) + 2 * int(settings.get("POINTILLIST_DRAIN_SECONDS", 20)) + 1
+    if grace < least:
+        yield f"{where}: terminationGracePeriodSeconds {grace} ends a drain, which takes up to {least} s"
 
 
-def faults(kustomization, documents, settings, flags=None):
+def worker_faults(where, container, grace):
+    """A worker listens on no port. It is judged by its exit."""
+    for name in ("ports", "startupProbe", "livenessProbe", "readinessProbe"):
+        if name in container:
+            yield f"{where}: {name} of a worker, which listens on no port and is judged by its exit"
+    if grace < WORKER_GRACE:
+        yield f"{where}: terminationGracePeriodSeconds {grace} ends a worker that finishes frames, which may take {WORKER_GRACE} s"
+
+
+def lets(policies, way, labels, peer, ports):
+    """Whether policies let pods with `labels` talk to a peer (`way` is Egress) or a peer to them (Ingress), on one of `ports`."""
+    chosen = [spec for spec in policies if way in spec.get("policyTypes", []) and matches(spec["podSelector"], labels)]
+    for rule in (rule for spec in chosen for rule in spec.get(way.lower(), [])):
+        peers = rule.get("to" if way == "Egress" else "from", [{"namespaceSelector": {}}])
+        # DNS and Prometheus are in namespaces of their own, which only a namespaceSelector names. A range of addresses may hold any pod.
+        named = any(
+            "ipBlock" in entry
+            or entry.get("namespaceSelector") == {}
+            or ("podSelector" in entry and matches(entry["podSelector"], peer))
+            for entry in peers
+        )
+        if named and ("ports" not in rule or any(port.get("port") in ports for port in rule["ports"])):
+            return True
+    return not chosen
+
+
+def talk_faults(documents, pods):
+    """Compares what the network policies let happen with TALKS."""
+    policies = [document["spec"] for _, document in documents if document["kind"] == "NetworkPolicy"]
+    component = "app.kubernetes.io/component"
+    ends = {labels[component]: (labels, {port["name"] for one in pod["containers"] for port in one.get("ports", [])}) for _, labels, pod, _ in pods}
+    talks = TALKS | FILM_TALKS if "nats" in ends else TALKS
+    everybody = {**ends, "DNS": ({}, {53})}
+    for (source, (from_labels, _)), (target, (to_labels, ports)) in itertools.product(ends.items(), everybody.items()):
+        wanted = (source, target) in talks
+        words = f"network policies: {source} {'has to' if wanted else 'must not'} reach {target}"
+        if lets(policies, "Egress", from_labels, to_labels, ports) != wanted:
+            yield f"{words}: egress of {source}"
+        # Clients reach the balancer from anywhere.
+        if target not in ("balancer", "DNS") and lets(policies, "Ingress", to_labels, from_labels, ports) != wanted:
+            yield f"{words}: ingress of {target}"
+
+
+@functools.cache
+def adapter_rules():
+    """Returns the series of the rules for prometheus-adapter in docs/kubernetes.md, by the kind of metric."""
+    blocks = re.findall(r"```yaml\n(.*?)```", (REPOSITORY / "docs/kubernetes.md").read_text(), re.S)
+    found = {"Pods": [], "External": []}
+    for block in map(yaml.safe_load, blocks):
+        found["Pods"] += [rule["seriesQuery"] for rule in block.get("rules", [])]
+        found["External"] += [rule["seriesQuery"] for rule in block.get("externalRules", [])]
+    return found
+
+
+def faults(documents, maps, flags=None):
     """Lists what is wrong."""
     found = []
     for name, document in documents:
-        found += schema_faults(name, document)
+        found += schema_faults(name, json.dumps(document))
     if found:
         # The other rules rely on the schemas.
         return found
     named = {(document["kind"], document["metadata"]["name"]) for _, document in documents}
     if len(named) != len(documents):
         found.append("two resources have the same kind and name")
-    maps = {generated["name"] for generated in kustomization["configMapGenerator"]}
     claims = {name for kind, name in named if kind == "PersistentVolumeClaim"}
-    pods = []
+    pods, shared = [], {}
     for name, document in documents:
         if document["kind"] not in WORKLOADS:
             continue
@@ -134,14 +303,16 @@ def faults(kustomization, documents, settings, flags=None):
         for container in pod["containers"]:
             here = f"{where}: container {container['name']}"
             found += container_faults(here, mounted, container)
-            for source in container.get("envFrom", []):
-                if source["configMapRef"]["name"] not in maps:
-                    found.append(f"{here}: there is no ConfigMap {source['configMapRef']['name']}")
-            if container["name"] == "pointillist":
-                found += daemon_faults(here, container, settings, flags)
-                least = int(settings["POINTILLIST_DRAIN_DELAY"]) + 2 * int(settings["POINTILLIST_DRAIN_SECONDS"]) + 1
-                if grace < least:
-                    found.append(f"{where}: terminationGracePeriodSeconds {grace} ends a drain, which takes up to {least} s")
+            found += variable_faults(here, container, maps)
+            if container["image"].startswith(POINTILLIST_IMAGE):
+                settings = variables(container, maps)
+                found += program_faults(here, container, settings, flags, grace)
+                for name in {"POINTILLIST_NATS", "POINTILLIST_STORE"} & settings.keys():
+                    shared.setdefault(name, set()).add(settings[name])
+    for name, values in sorted(shared.items()):
+        if len(values) > 1:
+            found.append(f"the keeper and the workers differ in {name}: {sorted(values)}")
+    found += talk_faults(documents, pods)
     for name, document in documents:
         kind, spec = document["kind"], document["spec"]
         where = f"{name}: {kind} {document['metadata']['name']}"
@@ -150,7 +321,7 @@ def faults(kustomization, documents, settings, flags=None):
             chosen = [pod for _, labels, pod, _ in pods if matches(selector, labels)]
             if not chosen:
                 found.append(f"{where}: selects no pod")
-            ports = {port["name"] for pod in chosen for container in pod["containers"] for port in container["ports"]}
+            ports = {port["name"] for pod in chosen for container in pod["containers"] for port in container.get("ports", [])}
             asked = [port["targetPort"] for port in spec.get("ports", [])] if kind == "Service" else [
                 port["port"] for rule in spec.get("ingress", []) for port in rule.get("ports", [])]
             for port in asked:
@@ -163,26 +334,41 @@ def faults(kustomization, documents, settings, flags=None):
             for _, _, _, workload in pods:
                 if workload["metadata"]["name"] == target["name"] and "replicas" in workload["spec"]:
                     found.append(f"{where}: `replicas` of its target would undo what it does at every apply")
+            for metric in spec["metrics"]:
+                wanted = metric[metric["type"].lower()]["metric"]["name"]
+                if not any(re.match(rf"{wanted}\b", series) for series in adapter_rules()[metric["type"]]):
+                    found.append(f"{where}: docs/kubernetes.md has no rule for the {metric['type']} metric {wanted}")
     return found
 
 
-def flags_of(binary):
-    """Returns the environment variables that `pointillist serve` reads."""
-    text = subprocess.run([binary, "serve", "--help"], check=True, capture_output=True, text=True).stdout
+def flags_of(binary, command):
+    """Returns the environment variables that a command reads."""
+    text = subprocess.run([binary, command, "--help"], check=True, capture_output=True, text=True).stdout
     return set(re.findall(r"\[env: (POINTILLIST_\w+)=", text))
-
-
-def read_settings(folder):
-    lines = (folder / "pointillist.env").read_text().splitlines()
-    return dict(line.split("=", 1) for line in lines if line and not line.startswith("#"))
 
 
 def of_kind(documents, kind, name=None):
     return next(document for _, document in documents if document["kind"] == kind and name in (None, document["metadata"]["name"]))
 
 
-def container_of(documents):
-    return of_kind(documents, "Deployment", "pointillist")["spec"]["template"]["spec"]["containers"][0]
+def pod_of(documents, kind="Deployment", name="pointillist"):
+    return of_kind(documents, kind, name)["spec"]["template"]["spec"]
+
+
+def container_of(documents, kind="Deployment", name="pointillist"):
+    return pod_of(documents, kind, name)["containers"][0]
+
+
+def worker_of(documents):
+    return container_of(documents, name="pointillist-workers")
+
+
+def keeper_of(documents):
+    return container_of(documents, "StatefulSet", "pointillist-keeper")
+
+
+def policy_of(documents, name):
+    return of_kind(documents, "NetworkPolicy", name)["spec"]
 
 
 def break_budget(documents):
@@ -190,7 +376,7 @@ def break_budget(documents):
 
 
 def break_root(documents):
-    of_kind(documents, "Deployment", "pointillist")["spec"]["template"]["spec"]["securityContext"]["runAsNonRoot"] = False
+    pod_of(documents)["securityContext"]["runAsNonRoot"] = False
 
 
 # A way to break the manifests, and a part of what has to be said about it.
@@ -203,45 +389,88 @@ BREAKS = [
     (lambda d: container_of(d)["securityContext"].update(readOnlyRootFilesystem=False), "readOnlyRootFilesystem"),
     (lambda d: container_of(d)["securityContext"].pop("capabilities"), "keeps capabilities"),
     (lambda d: container_of(d).update(image="pointillist:latest"), "names no release"),
-    (lambda d: container_of(d)["env"].append({"name": "POINTILLIST_QUUE", "value": "1"}), "POINTILLIST_QUUE"),
+    (lambda d: container_of(d)["env"].append({"name": "POINTILLIST_QUUE", "value": "1"}), "POINTILLIST_QUUE is no setting"),
     (lambda d: container_of(d)["volumeMounts"].append({"name": "stat", "mountPath": "/x"}), "'stat'"),
     (lambda d: container_of(d)["envFrom"][0]["configMapRef"].update(name="pointilist"), "no ConfigMap pointilist"),
     (lambda d: of_kind(d, "Deployment", "pointillist")["spec"].update(replicas=2), "would undo"),
-    (lambda d: of_kind(d, "Deployment", "pointillist")["spec"]["template"]["spec"].update(terminationGracePeriodSeconds=30), "ends a drain"),
+    (lambda d: pod_of(d).update(terminationGracePeriodSeconds=30), "ends a drain"),
     (lambda d: of_kind(d, "HorizontalPodAutoscaler")["spec"]["scaleTargetRef"].update(name="renderer"), "no Deployment renderer"),
     (lambda d: of_kind(d, "HorizontalPodAutoscaler").update(apiVersion="autoscaling/v2beta2"), "autoscaling/v2beta2"),
     (lambda d: of_kind(d, "Service", "pointillist")["spec"]["ports"][0].update(targetPort="web"), "port 'web'"),
     (lambda d: of_kind(d, "StatefulSet")["spec"].update(serviceName="keeper"), "no Service keeper"),
     (lambda d: of_kind(d, "PersistentVolumeClaim")["metadata"].update(name="scenes"), "no PersistentVolumeClaim pointillist-scenes"),
+    (lambda d: of_kind(d, "HorizontalPodAutoscaler")["spec"]["metrics"][0]["pods"]["metric"].update(name="pointillist_queued"), "no rule for the Pods metric pointillist_queued"),
+    (lambda d: policy_of(d, "pointillist-servers").pop("egress") or policy_of(d, "pointillist-servers").update(policyTypes=["Ingress"]), "renderer must not reach keeper: egress"),
+    (lambda d: policy_of(d, "pointillist-balancer")["egress"].pop(), "balancer has to reach DNS"),
     (break_budget, "selects no pod"),
     (break_root, "runs as root"),
 ]
 
 
-def main():
-    flags = flags_of(sys.argv[1]) if len(sys.argv) > 1 else None
-    kustomization, documents = load(FOLDER)
-    settings = read_settings(FOLDER)
-    found = faults(kustomization, documents, settings, flags)
-    here = {path.name for path in FOLDER.iterdir() if path.suffix in (".yaml", ".env", ".cfg")} - {"kustomization.yaml"}
-    used = set(kustomization["resources"])
-    for generated in kustomization["configMapGenerator"]:
-        used |= set(generated.get("envs", []) + generated.get("files", []))
-    found += [f"kustomization.yaml and the folder differ in {name}" for name in sorted(here ^ used)]
-    refused = 0
-    for number, (damage, words) in enumerate(BREAKS):
-        if words.startswith("POINTILLIST_") and flags is None:
+# Ways to break the manifests with films.
+FILM_BREAKS = [
+    (lambda d: worker_of(d).update(livenessProbe={"exec": {"command": ["true"]}}), "judged by its exit"),
+    (lambda d: worker_of(d)["env"].append({"name": "POINTILLIST_LISTEN", "value": "0.0.0.0:8080"}), "POINTILLIST_LISTEN is no setting of `pointillist worker`"),
+    (lambda d: worker_of(d)["env"].reverse(), "uses $(NATS_PASSWORD)"),
+    (lambda d: worker_of(d)["env"].pop(), "POINTILLIST_NATS is missing"),
+    (lambda d: worker_of(d)["env"][0]["valueFrom"]["secretKeyRef"].update(name="nats"), "nobody makes the Secret nats"),
+    (lambda d: worker_of(d)["env"].append({"name": "POINTILLIST_STORE", "value": "/tmp"}), "differ in POINTILLIST_STORE"),
+    (lambda d: worker_of(d)["volumeMounts"][0].update(mountPath="/stores"), "POINTILLIST_STORE=/store is no mounted volume"),
+    (lambda d: worker_of(d).update(image="pointillist"), "names no release"),
+    (lambda d: pod_of(d, name="pointillist-workers").update(terminationGracePeriodSeconds=30), "ends a worker that finishes frames"),
+    (lambda d: pod_of(d, name="pointillist-workers")["securityContext"].pop("runAsNonRoot"), "runs as root"),
+    (lambda d: keeper_of(d)["envFrom"].pop(), "POINTILLIST_STORE is missing"),
+    (lambda d: keeper_of(d)["env"][1].update(value="nats://nats:4222"), "differ in POINTILLIST_NATS"),
+    (lambda d: of_kind(d, "PersistentVolumeClaim", "pointillist-store")["metadata"].update(name="store"), "no PersistentVolumeClaim pointillist-store"),
+    (lambda d: container_of(d, "StatefulSet", "pointillist-nats").update(image="nats:alpine"), "names no release"),
+    (lambda d: container_of(d, "StatefulSet", "pointillist-nats").pop("readinessProbe"), "readinessProbe is missing"),
+    (lambda d: container_of(d, "StatefulSet", "pointillist-nats")["securityContext"].update(readOnlyRootFilesystem=False), "readOnlyRootFilesystem"),
+    (lambda d: of_kind(d, "Service", "pointillist-nats")["spec"]["ports"][0].update(targetPort="queue"), "port 'queue'"),
+    (lambda d: of_kind(d, "Service", "pointillist-nats")["metadata"].update(name="nats"), "no Service pointillist-nats"),
+    (lambda d: of_kind(d, "HorizontalPodAutoscaler", "pointillist-workers")["spec"]["scaleTargetRef"].update(name="workers"), "no Deployment workers"),
+    (lambda d: of_kind(d, "HorizontalPodAutoscaler", "pointillist-workers")["spec"]["metrics"][0]["external"].pop("metric"), "'metric' is a required property"),
+    (lambda d: of_kind(d, "Deployment", "pointillist-workers")["spec"].update(replicas=2), "would undo"),
+    (lambda d: policy_of(d, "pointillist-films")["egress"].pop(), "worker has to reach DNS"),
+    (lambda d: policy_of(d, "pointillist-films")["podSelector"]["matchExpressions"][0].update(values=["worker"]), "keeper has to reach nats: egress"),
+    (lambda d: policy_of(d, "pointillist-films")["egress"][0]["ports"][0].update(port="natz"), "worker has to reach nats: egress"),
+    (lambda d: policy_of(d, "pointillist-workers").update(ingress=[{}]), "balancer must not reach worker: ingress"),
+    (lambda d: policy_of(d, "pointillist-nats")["ingress"][0].pop("from"), "renderer must not reach nats: ingress"),
+    (lambda d: policy_of(d, "pointillist-nats")["ingress"][0]["from"].pop(), "has to reach nats"),
+    (lambda d: policy_of(d, "pointillist-films")["egress"].append({"to": [{"ipBlock": {"cidr": "0.0.0.0/0"}}]}), "worker must not reach keeper: egress"),
+    (lambda d: policy_of(d, "pointillist-nats").update(policyTypes=["Ingress"]), "nats must not reach DNS"),
+]
+
+
+def refused(breaks, documents, maps, flags, found):
+    """Returns how many ways to break the documents were tried, and adds those that go unnoticed to `found`."""
+    tried = 0
+    for number, (damage, words) in enumerate(breaks):
+        if flags is None and "is no setting" in words:
             continue
         broken = copy.deepcopy(documents)
         damage(broken)
-        told = faults(kustomization, broken, settings, flags)
+        told = faults(broken, maps, flags)
         if not any(words in text for text in told):
             found.append(f"break {number} is not refused with {words!r}, but with {told}")
-        refused += 1
+        tried += 1
+    return tried
+
+
+def main():
+    flags = {command: flags_of(sys.argv[1], command) for command in ("serve", "worker")} if len(sys.argv) > 1 else None
+    found = [*folder_faults(BASE, "Kustomization"), *folder_faults(FILMS, "Component")]
+    base, base_maps = load(BASE)
+    films, film_maps = load(BASE, FILMS)
+    found += faults(base, base_maps, flags)
+    found += [f"with films: {text}" for text in faults(films, film_maps, flags)]
+    tried = 0
+    if not found:
+        tried += refused(BREAKS, base, base_maps, flags, found)
+        tried += refused(FILM_BREAKS, films, film_maps, flags, found)
     for text in found:
         print(f"FAULT: {text}")
     if not found:
-        print(f"{len(documents)} resources hold for Kubernetes {' and '.join(VERSIONS)}; {refused} broken ones are refused")
+        print(f"{len(base)} resources, and {len(films)} with films, hold for Kubernetes {' and '.join(VERSIONS)}; {tried} broken ones are refused")
     return 1 if found else 0
 
 

@@ -7,8 +7,8 @@ set -uo pipefail
 
 cd "$(dirname "${BASH_SOURCE[0]}")/.." || exit 1
 binary=${1:-}
-# Programs that scripts/setup-servers.sh unpacked.
-PATH=$PWD/target/servers/bin:$PATH:/usr/sbin
+# Programs that scripts/setup-servers.sh and scripts/setup-nats.sh unpacked.
+PATH=$PWD/target/servers/bin:$PATH:/usr/sbin:$PWD/target/nats/usr/sbin
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 faults=0
@@ -56,7 +56,7 @@ checked "Dockerfile (own rules)" dockerfile_rules
 # --- YAML
 yaml_parses() {
     local file
-    for file in deploy/*.yaml deploy/kubernetes/*.yaml; do
+    for file in deploy/*.yaml deploy/kubernetes/*.yaml deploy/kubernetes/films/*.yaml; do
         python3 -c 'import sys, yaml; list(yaml.safe_load_all(open(sys.argv[1])))' "$file" || return 1
     done
 }
@@ -134,6 +134,14 @@ if [ -x "$python" ] && "$python" -c 'import kubernetes_validate' 2>/dev/null; th
     checked "kubernetes/ (schemas, and broken manifests)" "$python" scripts/check-kubernetes.py "${flags[@]}"
 else
     lacking "kubernetes/ (no kubernetes-validate; scripts/setup-python.sh installs it)"
+fi
+
+# A password of digits is the one that an unquoted variable would spoil.
+if have nats-server; then
+    checked "kubernetes/films/nats.conf (nats-server -t)" \
+        env QUOTED_PASSWORD='"12345678"' nats-server -t -c deploy/kubernetes/films/nats.conf
+else
+    lacking "kubernetes/films/nats.conf (no nats-server; scripts/setup-nats.sh installs it)"
 fi
 
 # --- k6: its own parser where it is there, and the script itself with k6's modules played by a few lines of node
