@@ -119,7 +119,7 @@ pub fn run(args: WorkerArgs) -> anyhow::Result<()> {
     runtime.block_on(async {
         let signal = stop_signal()?;
         let worker = Worker::new(&address, store, engine.clone(), &root).await?;
-        say!("drawing frames on {} for {}", engine.adapter(), address.url);
+        say!("drawing frames on {} for {}", engine.adapter(), address.without_secrets());
         let stop = Arc::new(AtomicBool::new(false));
         let working = tokio::spawn(Arc::new(worker).run(stop.clone()));
         let name = signal.await;

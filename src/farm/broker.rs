@@ -45,6 +45,19 @@ pub struct Address {
     pub ca: Option<PathBuf>,
 }
 
+impl Address {
+    /// Returns the address without user names and passwords, for logs and errors.
+    pub fn without_secrets(&self) -> String {
+        let servers = self.url.split(',').map(|server| {
+            let (scheme, rest) =
+                server.split_once("://").map_or(("", server), |(s, rest)| (s, rest));
+            let host = rest.rsplit_once('@').map_or(rest, |(_, host)| host);
+            if scheme.is_empty() { host.to_owned() } else { format!("{scheme}://{host}") }
+        });
+        servers.collect::<Vec<_>>().join(",")
+    }
+}
+
 /// Error of the broker.
 #[derive(Debug, thiserror::Error)]
 pub enum BrokerError {
@@ -85,7 +98,11 @@ impl Broker {
     /// The address or a file cannot be used.
     pub async fn connect(address: &Address, name: &str) -> Result<Broker, BrokerError> {
         let url = &address.url;
-        let unusable = |error: String| BrokerError::Address { url: url.clone(), error };
+        let unusable = |error: String| {
+            // The error may repeat the password.
+            let error = if url.contains('@') { "not an address".to_owned() } else { error };
+            BrokerError::Address { url: address.without_secrets(), error }
+        };
         let servers: Vec<async_nats::ServerAddr> = url
             .split(',')
             .map(|server| server.trim().parse())
@@ -218,4 +235,27 @@ pub async fn pull(consumer: &PullConsumer) -> Result<Option<Message>, BrokerErro
 /// Formats a message. Our messages have only strings and numbers, which always have a JSON text.
 fn json<T: Serialize>(message: &T) -> Bytes {
     serde_json::to_vec(message).unwrap_or_default().into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn logs_get_no_passwords() {
+        let shown = |url: &str| {
+            Address { url: url.to_owned(), credentials: None, ca: None }.without_secrets()
+        };
+        assert_eq!(shown("nats://127.0.0.1:4222"), "nats://127.0.0.1:4222");
+        assert_eq!(shown("tls://ann:p@ss@a:4222,tls://bob:x@b"), "tls://a:4222,tls://b");
+        assert_eq!(shown("ann:secret@a"), "a");
+    }
+
+    #[tokio::test]
+    async fn errors_of_addresses_hold_no_password() {
+        let url = "nats://ann:secret@a b:4222".to_owned();
+        let address = Address { url, credentials: None, ca: None };
+        let error = Broker::connect(&address, "test").await.err().unwrap().to_string();
+        assert!(!error.contains("secret") && error.contains("nats://a b:4222"), "{error}");
+    }
 }

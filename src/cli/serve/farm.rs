@@ -37,7 +37,7 @@ pub(super) fn use_farm(
         format!("--state {}: cannot keep a name there", jobs.folder().display())
     })?;
     let farm = Farm::new(&address, store, name, engine, runtime)?;
-    tracing::info!(nats = address.url, "workers draw the frames of jobs");
+    tracing::info!(nats = address.without_secrets(), "workers draw the frames of jobs");
     jobs.draw_with(std::sync::Arc::new(farm));
     Ok(())
 }
