@@ -26,8 +26,10 @@ pub struct Section {
 }
 
 impl Section {
-    fn print(&self) {
+    /// Prints the table.
+    pub fn shown(self) -> Section {
         println!("\n{}\n{}", self.title, common::report::render(&self.header, &self.rows));
+        self
     }
 
     fn markdown(&self) -> String {
@@ -43,7 +45,6 @@ fn main() -> anyhow::Result<()> {
     for (title, make) in makers {
         text += &format!("### {title}\n\n");
         for section in make(&measured) {
-            section.print();
             text += &section.markdown();
         }
     }

@@ -78,7 +78,7 @@ pub fn sections(measured: &Measured) -> Vec<Section> {
                     jain(&rates).map_or("—".to_owned(), |index| format!("{index:.3}")),
                 ]);
             }
-            sections.push(Section {
+            let section = Section {
                 title: format!(
                     "{FILMS} films at a time, each worker with {what} ({frame_ms} ms a frame), store: {store_name}; load as a share of one second"
                 ),
@@ -93,10 +93,11 @@ pub fn sections(measured: &Measured) -> Vec<Section> {
                     "Jain's index of films",
                 ],
                 rows,
-            });
+            };
+            sections.push(section.shown());
         }
     }
-    sections.push(Section {
+    let limits = Section {
         title: "Workers at which each part passes 70 % of its time, by its load with 10 workers"
             .to_owned(),
         header: vec![
@@ -108,9 +109,8 @@ pub fn sections(measured: &Measured) -> Vec<Section> {
             "daemon",
         ],
         rows: limits,
-    });
-    sections.push(lost(measured));
-    sections.push(beside(measured));
+    };
+    sections.extend([limits.shown(), lost(measured).shown(), beside(measured).shown()]);
     sections
 }
 

@@ -116,8 +116,11 @@ impl Cores {
     /// Returns the tasks that are finished.
     pub fn finished(&mut self, now_ns: u64) -> Vec<u64> {
         self.advance(now_ns);
-        let done = self.tasks.extract_if(.., |_, task| task.left_ns < 1.0);
-        done.map(|(id, _)| id).collect()
+        let is_done = |task: &Task| task.left_ns < 1.0;
+        let done = self.tasks.iter().filter(|(_, task)| is_done(task)).map(|(id, _)| *id);
+        let done: Vec<u64> = done.collect();
+        self.tasks.retain(|_, task| !is_done(task));
+        done
     }
 
     /// Returns when the next task is finished if none begins before.

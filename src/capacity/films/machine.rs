@@ -91,8 +91,9 @@ impl Machine {
     /// Stops what a worker draws.
     pub fn stop(&mut self, name: Name, now_ns: u64) {
         let is_its = |task: &Task| matches!(task, Task::Draw(other) if *other == name);
-        let gone: Vec<u64> =
-            self.tasks.extract_if(.., |_, task| is_its(task)).map(|(id, _)| id).collect();
+        let its = self.tasks.iter().filter(|(_, task)| is_its(task));
+        let gone: Vec<u64> = its.map(|(id, _)| *id).collect();
+        self.tasks.retain(|id, _| !gone.contains(id));
         if let Some((cores, _)) = &mut self.cores {
             for id in gone {
                 cores.stop(now_ns, id);
