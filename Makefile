@@ -8,7 +8,7 @@ ARGS  ?=
 export PATH := $(PATH):$(or $(CARGO_HOME),$(HOME)/.cargo)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup build run test check fuzz-http fmt lint bench compare audit report pictures soak data clean-scenes clean
+.PHONY: help setup build run test check fuzz-http fmt lint bench compare audit capacity report pictures soak data clean-scenes clean
 
 help: ## this list
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -50,6 +50,9 @@ compare: setup ## GPU time and frames of two commits, drawn in turns (BASE=, NEW
 
 audit: setup ## outlines, holes, depth, PSNR, flicker and time from random poses, against full detail at 16 times the pixels (BENCH_QUICK=1)
 	cargo bench --quiet --locked --bench audit
+
+capacity: setup ## a simulation of 1,000 workers and 100,000 clients, as a table beside measured points (CAPACITY_RECORD=1)
+	cargo bench --quiet --locked --bench capacity
 
 report: setup ## what accuracy costs, beside VTK, Open3D and four papers, in target/report, within 40 minutes (REPORT_QUICK=1, REPORT_RECORD=1)
 	@scripts/report.sh

@@ -15,12 +15,15 @@
 //!
 //! From outside, [`load`] asks a daemon for more and more frames until it no longer keeps up.
 //!
+//! [`capacity`] simulates clusters and loads that are larger than the machines at hand.
+//!
 //! The answer carries a receipt ([`engine::receipt`]): what was understood, which passes ran, which
 //! were skipped and why, and what each of them cost.
 
 pub mod accuracy;
 pub mod assets;
 pub mod bake;
+pub mod capacity;
 pub mod cli;
 pub mod encode;
 pub mod engine;

@@ -20,12 +20,11 @@ use futures::StreamExt;
 use serde::Serialize;
 
 use super::messages::{RUNS, Run, STREAM, runs, runs_of};
-use super::pacing::ACK_WAIT;
+use super::pacing::{ACK_WAIT, PULL};
 
 /// Time limit of a request to the server.
 const REQUEST: Duration = Duration::from_secs(5);
-/// Time for which the server keeps a worker's pull, and after which the worker makes it anew even if the server is silent.
-const PULL: Duration = Duration::from_secs(4);
+/// Time after which a worker pulls anew even if the server is silent.
 const PULL_LIMIT: Duration = Duration::from_secs(8);
 /// Time for which the server recognises a message that is published again.
 const DUPLICATES: Duration = Duration::from_secs(120);
@@ -33,6 +32,8 @@ const DUPLICATES: Duration = Duration::from_secs(120);
 const MOST_AGE: Duration = Duration::from_secs(14 * 24 * 3600);
 /// Runs that workers of a kind may draw at a time.
 const MOST_UNACKED: i64 = 20_000;
+/// Workers of a kind that may wait for a run at a time. The server refuses the pulls of all others; its own default is 512.
+const MOST_IDLE: i64 = 20_000;
 
 /// How to reach the broker.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -157,6 +158,7 @@ impl Broker {
             // A message beyond a limit would disappear without a word. The store counts tries.
             max_deliver: -1,
             max_ack_pending: MOST_UNACKED,
+            max_waiting: MOST_IDLE,
             ..pull::Config::default()
         };
         let created = stream.get_or_create_consumer(kind, consumer).await;

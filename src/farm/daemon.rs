@@ -15,6 +15,7 @@ use super::broker::{Address, Broker, BrokerError, Queued};
 use super::bundle::{Hashes, pack};
 use super::desk::Desk;
 use super::messages::{BEATS, Beat, FilmOrder, Note, Run, notes};
+use super::pacing::{LIST_AFTER, MOST_NOTES, READS, TICK};
 use super::roster::Roster;
 use super::stopped;
 use super::store::{Store, StoreError};
@@ -23,19 +24,12 @@ use crate::film::manifest::digits;
 use crate::film::{Drawn, FilmError, Keep};
 use crate::jobs::{Load, Order, Remote};
 
-/// Interval at which a film's state is looked at when no note comes.
-const TICK: Duration = Duration::from_millis(250);
-/// Time without notes after which the store is listed.
-const LIST_AFTER: Duration = Duration::from_secs(2);
 /// Time after which a job says that no worker can draw it.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Pause after the broker has failed.
 const PAUSE: Duration = Duration::from_millis(500);
 /// Interval at which queued runs are counted.
 const COUNT_EVERY: Duration = Duration::from_secs(2);
-/// Frames that are read from the store at a time, and notes that are taken at a time.
-const READS: usize = 8;
-const MOST_NOTES: usize = 64;
 /// Interval at which scenes' files that no film needs are removed from the store.
 const CLEAN_EVERY: Duration = Duration::from_secs(24 * 3600);
 /// Time limit of the removal of a film that is over.
@@ -58,6 +52,8 @@ struct Shared {
     roster: Mutex<Roster>,
     queued: Mutex<Queued>,
     set_aside: AtomicU64,
+    /// Films that share the workers now.
+    films: AtomicU64,
     hashes: Hashes,
 }
 
@@ -87,6 +83,7 @@ impl Farm {
         let (kind, adapter) = (engine.identity(), engine.adapter());
         let roster = Mutex::new(Roster::default());
         let (queued, set_aside) = (Mutex::default(), AtomicU64::new(0));
+        let films = AtomicU64::new(0);
         let hashes = Hashes::default();
         let runtime = runtime.clone();
         let shared = Shared {
@@ -99,6 +96,7 @@ impl Farm {
             roster,
             queued,
             set_aside,
+            films,
             hashes,
         };
         let farm = Farm { shared: Arc::new(shared) };
@@ -191,10 +189,12 @@ impl Remote for Farm {
                 trouble: None,
                 began: Instant::now(),
             };
+            let sharing = Sharing::begin(&shared.films);
             let collected = tokio::select! {
                 collected = collection.collect(keep, tell) => collected,
                 () = stopped(stop) => Ok(()),
             };
+            drop(sharing);
             // The frames are in the job's folder. A worker that still draws some finds no order and stops.
             let cleared = async {
                 shared.broker.purge(&shared.kind, &film).await?;
@@ -216,6 +216,22 @@ impl Shared {
         let mut hasher = Sha256::new_with_prefix(format!("{} {job} {} ", self.name, self.kind));
         hasher.update(order);
         digits(&hasher.finalize()[..16])
+    }
+}
+
+/// Counts a film among those that share the workers, until it is dropped.
+struct Sharing<'a>(&'a AtomicU64);
+
+impl<'a> Sharing<'a> {
+    fn begin(films: &'a AtomicU64) -> Sharing<'a> {
+        films.fetch_add(1, Ordering::Relaxed);
+        Sharing(films)
+    }
+}
+
+impl Drop for Sharing<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::Relaxed);
     }
 }
 
@@ -311,11 +327,12 @@ impl Collection<'_> {
 
     /// Queues runs, as many as workers need.
     async fn queue(&mut self) -> Result<(), Trouble> {
-        let Shared { broker, kind, roster, .. } = self.shared;
+        let Shared { broker, kind, roster, films, .. } = self.shared;
         loop {
             let workers = roster.lock().of_kind(kind, Instant::now());
-            let next = self.unqueued.take().or_else(|| self.desk.next(workers, Instant::now()));
-            let Some(run) = next else { return Ok(()) };
+            let films = films.load(Ordering::Relaxed);
+            let next = || self.desk.next(workers, films, Instant::now());
+            let Some(run) = self.unqueued.take().or_else(next) else { return Ok(()) };
             let id = format!("{}-{}-{}", self.film, self.generation, run.id);
             if let Err(error) = broker.queue(kind, &run, &id).await {
                 // It may be queued all the same; the broker then drops the second one.

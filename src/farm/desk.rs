@@ -7,28 +7,37 @@
 //!    └────────lost────────┘
 //! ```
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
 use super::messages::Run;
-use super::pacing::{LOST_AFTER, mean_time, most_runs, run_length};
+use super::pacing::{LOST_AFTER, mean_time, most_runs, run_length, share_of_workers};
 use crate::film::Wanted;
 
-/// Frames that are queued or drawn.
+/// A frame that has not arrived.
+#[derive(Debug)]
+struct Outstanding {
+    tag: String,
+    /// The run that it is in; `None`: it waits.
+    run: Option<u64>,
+}
+
+/// A run that is queued or drawn.
 #[derive(Debug)]
 struct Sent {
-    /// Tags of the frames that have not arrived, by number.
-    frames: BTreeMap<u64, String>,
+    /// Frames of the run that have not arrived.
+    frames: BTreeSet<u64>,
     /// When the run was queued, or when it last seemed to be drawn.
     seen: Instant,
 }
 
-/// All frames that have not arrived.
+/// All frames that have not arrived. A frame's run is found without a search, because with a thousand workers there are thousands of runs.
 #[derive(Debug)]
 pub struct Desk {
     film: String,
-    /// Tags of the frames that are in no run, by number.
-    waiting: BTreeMap<u64, String>,
+    frames: BTreeMap<u64, Outstanding>,
+    /// Frames that are in no run.
+    waiting: BTreeSet<u64>,
     sent: BTreeMap<u64, Sent>,
     next_run: u64,
     frame_time: Option<Duration>,
@@ -36,9 +45,11 @@ pub struct Desk {
 
 impl Desk {
     pub fn new(film: &str, frames: Vec<Wanted>) -> Desk {
+        let outstanding = |Wanted { number, tag }| (number, Outstanding { tag, run: None });
         Desk {
             film: film.to_owned(),
-            waiting: frames.into_iter().map(|frame| (frame.number, frame.tag)).collect(),
+            waiting: frames.iter().map(|frame| frame.number).collect(),
+            frames: frames.into_iter().map(outstanding).collect(),
             sent: BTreeMap::new(),
             next_run: 0,
             frame_time: None,
@@ -47,49 +58,56 @@ impl Desk {
 
     /// Returns whether no frame is outstanding.
     pub fn is_clear(&self) -> bool {
-        self.waiting.is_empty() && self.sent.is_empty()
+        self.frames.is_empty()
     }
 
-    /// Returns the next run to queue, if there are frames for one and few enough are queued.
-    pub fn next(&mut self, workers: u64, now: Instant) -> Option<Run> {
+    /// Returns the next run to queue, if there are frames for one and few enough are queued. The film shares `workers` with all `films`
+    /// that the daemon draws now, itself included.
+    pub fn next(&mut self, workers: u64, films: u64, now: Instant) -> Option<Run> {
+        let workers = share_of_workers(workers, films);
         if self.sent.len() as u64 >= most_runs(workers) || self.waiting.is_empty() {
             return None;
         }
         let length = run_length(self.waiting.len() as u64, self.frame_time, workers);
-        let tags: BTreeMap<u64, String> =
-            (0..length).map_while(|_| self.waiting.pop_first()).collect();
         let id = self.next_run;
         self.next_run += 1;
-        let wanted = |(number, tag): (&u64, &String)| Wanted { number: *number, tag: tag.clone() };
-        let frames = tags.iter().map(wanted).collect();
-        self.sent.insert(id, Sent { frames: tags, seen: now });
+        let numbers: BTreeSet<u64> = (0..length).map_while(|_| self.waiting.pop_first()).collect();
+        let mut frames = Vec::with_capacity(numbers.len());
+        for &number in &numbers {
+            if let Some(frame) = self.frames.get_mut(&number) {
+                frame.run = Some(id);
+                frames.push(Wanted { number, tag: frame.tag.clone() });
+            }
+        }
+        self.sent.insert(id, Sent { frames: numbers, seen: now });
         Some(Run { film: self.film.clone(), id, frames })
     }
 
     /// Returns the tag of a frame that has not arrived.
     pub fn tag(&self, frame: u64) -> Option<String> {
-        let sent = self.sent.values().find_map(|sent| sent.frames.get(&frame));
-        sent.or_else(|| self.waiting.get(&frame)).cloned()
+        self.frames.get(&frame).map(|frame| frame.tag.clone())
     }
 
     /// Returns the outstanding frames with these tags.
     pub fn numbers(&self, tags: &[String]) -> Vec<u64> {
         let mut known: BTreeMap<&str, Vec<u64>> = BTreeMap::new();
-        let sent = self.sent.values().flat_map(|sent| &sent.frames);
-        for (number, tag) in sent.chain(&self.waiting) {
-            known.entry(tag).or_default().push(*number);
+        for (number, frame) in &self.frames {
+            known.entry(&frame.tag).or_default().push(*number);
         }
         tags.iter().flat_map(|tag| known.remove(tag.as_str()).unwrap_or_default()).collect()
     }
 
     /// Records that a frame has arrived or is given up. Returns false for a frame that was not outstanding.
     pub fn close(&mut self, frame: u64) -> bool {
-        let mut is_known = self.waiting.remove(&frame).is_some();
-        self.sent.retain(|_, sent| {
-            is_known |= sent.frames.remove(&frame).is_some();
-            !sent.frames.is_empty()
-        });
-        is_known
+        let Some(Outstanding { run, .. }) = self.frames.remove(&frame) else { return false };
+        self.waiting.remove(&frame);
+        if let Some((run, sent)) = run.and_then(|run| Some((run, self.sent.get_mut(&run)?))) {
+            sent.frames.remove(&frame);
+            if sent.frames.is_empty() {
+                self.sent.remove(&run);
+            }
+        }
+        true
     }
 
     /// Records a sign that runs are being drawn.
@@ -116,8 +134,13 @@ impl Desk {
         let lost: Vec<u64> =
             self.sent.iter().filter(|(_, sent)| is_lost(sent)).map(|(run, _)| *run).collect();
         for run in &lost {
-            let frames = self.sent.remove(run).map(|sent| sent.frames).unwrap_or_default();
-            self.waiting.extend(frames);
+            let numbers = self.sent.remove(run).map(|sent| sent.frames).unwrap_or_default();
+            for number in numbers {
+                if let Some(frame) = self.frames.get_mut(&number) {
+                    frame.run = None;
+                    self.waiting.insert(number);
+                }
+            }
         }
         lost.len()
     }
@@ -139,13 +162,13 @@ mod tests {
         let start = Instant::now();
         let late = start + LOST_AFTER;
         let mut desk = Desk::new("f", frames(8));
-        let first = desk.next(1, start).unwrap();
+        let first = desk.next(1, 1, start).unwrap();
         assert_eq!((first.id, first.frames.len()), (0, 4));
-        let second = desk.next(1, start).unwrap();
+        let second = desk.next(1, 1, start).unwrap();
         assert!(desk.close(0) && !desk.close(0));
         desk.seen(&[second.id], late);
         assert_eq!((desk.take_back(false, late), desk.take_back(true, late)), (0, 1));
-        let third = desk.next(1, late).unwrap();
+        let third = desk.next(1, 1, late).unwrap();
         assert!(third.id > second.id);
         let again: Vec<u64> = third.frames.iter().map(|frame| frame.number).collect();
         assert!(
@@ -155,6 +178,17 @@ mod tests {
         );
         assert_eq!(desk.tag(7).unwrap(), "t3");
         assert_eq!(desk.numbers(&["t3".to_owned(), "t9".to_owned()]), [6, 7]);
+    }
+
+    #[test]
+    fn films_share_the_workers() {
+        let runs = |workers, films| {
+            let mut desk = Desk::new("f", frames(100_000));
+            std::iter::from_fn(|| desk.next(workers, films, Instant::now())).count()
+        };
+        // Three runs for each worker of the film's share, so that the first run of another film does not wait for all of theirs.
+        assert_eq!((runs(1000, 1), runs(1000, 10), runs(1000, 5000)), (3000, 300, 4));
+        assert_eq!((runs(3, 2), runs(0, 3)), (6, 4));
     }
 
     proptest! {
@@ -169,7 +203,7 @@ mod tests {
             let rest = (0..2 * count as usize).map(|i| ((i % 2) as u8, 0));
             for (what, which) in steps.into_iter().chain(rest) {
                 match what {
-                    0 => while let Some(run) = desk.next(2, now) {
+                    0 => while let Some(run) = desk.next(2, 1, now) {
                         queued.extend(run.frames.iter().map(|frame| frame.number));
                     },
                     1 if !queued.is_empty() => {

@@ -10,7 +10,7 @@
 //! The daemon keeps a job as it does without workers: it names the frames, collects them into the job's folder, serves them and codes the
 //! video. Only the drawing is elsewhere, behind [`jobs::Remote`](crate::jobs::Remote). A **run** is a few frames that one worker draws; it is
 //! a message of a JetStream work queue. A worker pulls one run at a time and reports progress while it draws, so that the server delivers
-//! the run of a killed worker to another one. It stores each frame under the frame's entity tag, and draws no frame that is already there.
+//! the run of a killed worker to another one. It stores each frame under the frame's entity tag. If the run was begun before, it draws no frame that is already there.
 //!
 //! Frames of different adapters, drivers or builds never meet in a film. The hash of these three is a worker's **kind**
 //! ([`Engine::identity`](crate::engine::Engine::identity)); the queue delivers a run only to workers of the daemon's kind, and a worker draws a
@@ -26,10 +26,10 @@
 pub mod broker;
 mod bundle;
 mod daemon;
-mod desk;
-mod messages;
-mod pacing;
-mod roster;
+pub mod desk;
+pub mod messages;
+pub mod pacing;
+pub mod roster;
 mod store;
 mod worker;
 

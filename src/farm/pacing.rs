@@ -23,6 +23,25 @@ pub const IDLE_AFTER: Duration = Duration::from_secs(5);
 /// Time after which the broker delivers a run again whose worker is silent.
 pub const ACK_WAIT: Duration = Duration::from_secs(5);
 
+/// Interval of a worker's beats.
+pub const BEAT: Duration = Duration::from_secs(1);
+/// Interval at which a worker that draws a run tells the broker so.
+pub const PROGRESS: Duration = Duration::from_nanos(ACK_WAIT.as_nanos() as u64 / 3);
+/// Time for which the broker keeps a worker's pull.
+pub const PULL: Duration = Duration::from_secs(4);
+/// Operations of the store that a worker has under way at a time.
+pub const STORES: usize = 8;
+/// Drawn frames that wait in a worker to be stored.
+pub const UNSTORED: usize = 4;
+/// Interval at which a daemon looks at a film when no note comes.
+pub const TICK: Duration = Duration::from_millis(250);
+/// Time without notes after which a daemon lists a film in the store.
+pub const LIST_AFTER: Duration = Duration::from_secs(2);
+/// Frames that a daemon reads from the store at a time for a film.
+pub const READS: usize = 8;
+/// Notes of a film that a daemon takes at a time.
+pub const MOST_NOTES: usize = 64;
+
 /// Returns the number of frames of the next run, given that `remaining` frames are in no run yet. `frame` is the measured time of a frame.
 /// Towards the end of a film, runs become shorter, so that all workers end at about the same time.
 pub fn run_length(remaining: u64, frame: Option<Duration>, workers: u64) -> u64 {
@@ -32,6 +51,12 @@ pub fn run_length(remaining: u64, frame: Option<Duration>, workers: u64) -> u64 
     });
     let fair = remaining.div_ceil(2 * workers.max(1));
     by_time.min(fair).max(1).min(remaining)
+}
+
+/// Returns the number of workers that one of `films` films may keep busy. The queue is in order of arrival: if each film queued runs for all
+/// workers, the first run of a new film would wait for those of all others.
+pub fn share_of_workers(workers: u64, films: u64) -> u64 {
+    workers.div_ceil(films.max(1))
 }
 
 /// Returns the number of runs that are queued or drawn at a time.
@@ -65,6 +90,12 @@ pub fn judge(begun: u64, frames: usize) -> Verdict {
     }
 }
 
+/// Returns whether frames of a run that was begun `begun` times before may be in the store, so that a worker asks for each before it
+/// draws. A fresh run of several frames has none; runs of one frame may come from a run that was split.
+pub fn may_be_stored(begun: u64, frames: usize) -> bool {
+    begun > 0 || frames <= 1
+}
+
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
@@ -91,6 +122,8 @@ mod tests {
         let alone = [0, 1, 2, 3, 4].map(|begun| judge(begun, 1));
         let [draw, aside] = [Verdict::Draw, Verdict::SetAside];
         assert_eq!(alone, [draw, draw, draw, aside, aside]);
+        let looked = [(0, 20), (0, 1), (1, 20)].map(|(begun, frames)| may_be_stored(begun, frames));
+        assert_eq!(looked, [false, true, true]);
     }
 
     proptest! {

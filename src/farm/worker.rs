@@ -2,7 +2,7 @@
 //!
 //! A worker draws one run at a time. While it does, it tells the broker every few seconds that it lives; a worker that is killed stops
 //! doing so, and the broker delivers the run to another one. A run may therefore be begun several times, and even be drawn by two workers at once:
-//! frames that are in the store are not drawn again, and equal frames have equal names.
+//! a worker that begins a run again asks the store for its frames first, and equal frames have equal names.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,9 @@ use sha2::{Digest, Sha256};
 use super::broker::{Address, Broker, BrokerError, pull};
 use super::bundle::unpack;
 use super::messages::{Beat, Bundle, FilmOrder, Note, Run, beats, notes};
-use super::pacing::{ACK_WAIT, MOST_TRIES, Verdict, judge};
+use super::pacing::{
+    ACK_WAIT, BEAT, MOST_TRIES, PROGRESS, STORES, UNSTORED, Verdict, judge, may_be_stored,
+};
 use super::stopped;
 use super::store::{Store, StoreError};
 use crate::engine::{Client, Engine, EngineError, RequestId, Source};
@@ -26,18 +28,12 @@ use crate::film::manifest::digits;
 use crate::film::{self, Drawn, Film, FilmError, Wanted};
 use crate::jobs::find_shots;
 
-/// Interval of beats.
-const BEAT: Duration = Duration::from_secs(1);
 /// Pause after the broker has failed, and while there is no consumer yet.
 const PAUSE: Duration = Duration::from_millis(500);
 /// Delay before a run that failed is delivered again.
 const AGAIN: Duration = Duration::from_secs(1);
 /// Time without a finished frame after which a worker stops telling the broker that it lives. Baking a large scene takes long.
 const STUCK: Duration = Duration::from_secs(1800);
-/// Operations of the store at a time.
-const STORES: usize = 8;
-/// Drawn frames that wait to be stored.
-const UNSTORED: usize = 4;
 
 /// A worker process.
 pub struct Worker {
@@ -216,7 +212,7 @@ impl Worker {
     /// Tells the broker that the run is being worked on, until no frame is finished for long.
     async fn report_progress(&self, message: &Message) {
         while self.state.lock().since.elapsed() < STUCK {
-            tokio::time::sleep(ACK_WAIT / 3).await;
+            tokio::time::sleep(PROGRESS).await;
             if let Err(error) = message.ack_with(AckKind::Progress).await {
                 tracing::debug!(%error, "the broker does not learn of progress");
             }
@@ -249,7 +245,7 @@ impl Worker {
                 return Ok(Ended::Done);
             }
         }
-        let drawn = self.draw(run, order, stop).await;
+        let drawn = self.draw(run, begun, order, stop).await;
         if stop.load(Ordering::Relaxed) {
             // The try does not count: the worker was told to stop.
             let _ = self.store.take_back_try(&run.film, &run.key(), begun).await;
@@ -274,10 +270,11 @@ impl Worker {
         Ok(())
     }
 
-    /// Draws the frames of a run that are not in the store, and stores them.
+    /// Draws the frames of a run that are not in the store, and stores them. The run was begun `begun` times before.
     async fn draw(
         &self,
         run: &Run,
+        begun: u64,
         order: FilmOrder,
         stop: &Arc<AtomicBool>,
     ) -> Result<(), String> {
@@ -285,8 +282,12 @@ impl Worker {
         let look = |frame: Wanted| async move {
             Ok::<_, StoreError>((self.store.has_frame(film, &frame.tag).await?, frame))
         };
-        let found = stream::iter(run.frames.clone()).map(look).buffered(STORES);
-        let found: Vec<(bool, Wanted)> = found.try_collect().await.map_err(text)?;
+        let found: Vec<(bool, Wanted)> = if may_be_stored(begun, run.frames.len()) {
+            let found = stream::iter(run.frames.clone()).map(look).buffered(STORES);
+            found.try_collect().await.map_err(text)?
+        } else {
+            run.frames.iter().map(|frame| (false, frame.clone())).collect()
+        };
         let (there, missing): (Vec<_>, Vec<_>) = found.into_iter().partition(|(there, _)| *there);
         for (_, frame) in there {
             // The worker before may have died before it said so.

@@ -29,6 +29,7 @@ pub mod cost;
 pub mod encoding;
 mod lanes;
 mod pause_predictor;
+pub mod simulation;
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -594,7 +595,5 @@ pub fn lateness(
     (wait > Duration::ZERO && wait + own > left).then(|| wait + own - left)
 }
 
-#[cfg(test)]
-mod simulation;
 #[cfg(test)]
 mod tests;

@@ -25,7 +25,9 @@ const FIRST_PAUSE: Duration = Duration::from_millis(4);
 const LONGEST: Duration = Duration::from_secs(1);
 /// Time for which an inactive client is remembered.
 const MEMORY: Duration = Duration::from_secs(10);
-/// Above this number of clients, those that may be forgotten are.
+/// Interval at which inactive clients are looked for. A request costs the same with ten thousand clients as with ten.
+const SWEEP: Duration = Duration::from_secs(1);
+/// Number of clients below which none is forgotten.
 const MOST_CLIENTS: usize = 256;
 
 #[derive(Clone, Copy, Debug)]
@@ -50,6 +52,8 @@ pub struct Expected {
 #[derive(Debug, Default)]
 pub struct PausePredictor {
     clients: HashMap<Client, Habit>,
+    /// When inactive clients were forgotten last.
+    swept: Option<Instant>,
 }
 
 impl PausePredictor {
@@ -90,8 +94,10 @@ impl PausePredictor {
     }
 
     fn forget(&mut self, now: Instant) {
-        if self.clients.len() >= MOST_CLIENTS {
+        let is_due = self.swept.is_none_or(|at| now.saturating_duration_since(at) >= SWEEP);
+        if self.clients.len() >= MOST_CLIENTS && is_due {
             self.clients.retain(|_, habit| now.saturating_duration_since(habit.seen) < MEMORY);
+            self.swept = Some(now);
         }
     }
 }
@@ -164,5 +170,11 @@ mod tests {
             now += 20 * MS;
         }
         assert!(pauses.clients.len() < 1000, "{}", pauses.clients.len());
+        // They are looked for once in a while, not with each request.
+        let swept = pauses.swept;
+        pauses.asked(Client::Caller(0), swept.unwrap() + SWEEP / 2);
+        assert_eq!(pauses.swept, swept);
+        pauses.asked(Client::Caller(0), swept.unwrap() + SWEEP);
+        assert_eq!(pauses.swept, swept.map(|at| at + SWEEP));
     }
 }

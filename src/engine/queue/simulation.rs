@@ -1,21 +1,39 @@
-//! The queue with clients and a device, on a clock of its own: what each client gets of the device's time, and how long it waits.
+//! A simulated device behind the engine's queue, on a clock of the caller's.
 //!
-//! The device draws one batch at a time and has one more recorded, as the render thread does; frames take what they take,
-//! which the queue learns when they are drawn.
+//! The device draws one batch at a time and has one more recorded, as the render thread does. The queue and its estimates are the engine's own;
+//! a frame takes the time that it carries, which the queue learns when the frame is drawn. The caller tells the time, and what clients do:
+//!
+//! ```text
+//! admit ──▶ queue ──take──▶ in flight (2 at most) ──land──▶ the caller
+//! ```
 
-use std::collections::HashMap;
-
-use proptest::prelude::*;
-use proptest::test_runner::RngSeed;
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
 
 use super::cost::{CostKey, Costs};
-use super::*;
+use super::{Class, Client, Granted, Moment, Queue, Shares, Taken, Waiting};
 
-#[derive(Debug)]
-struct Frame {
-    client: usize,
-    asked_ns: u64,
-    pixels: u64,
+/// Submissions in flight, as in the render thread.
+const DEPTH: usize = 2;
+
+/// A frame that a simulated client asked for.
+#[derive(Clone, Copy, Debug)]
+pub struct Frame {
+    /// The caller's number of the client.
+    pub client: usize,
+    /// When the client asked for it first.
+    pub asked_ns: u64,
+    pub pixels: u64,
+    /// Kind of the frame, by which its cost is estimated.
+    pub kind: u64,
+    /// Device time that the frame takes.
+    pub cost_ns: u64,
+}
+
+impl Frame {
+    fn key(&self) -> CostKey {
+        CostKey { kind: self.kind, pixels: self.pixels }
+    }
 }
 
 impl Waiting for Frame {
@@ -30,366 +48,133 @@ impl Waiting for Frame {
     }
 }
 
-/// How a client asks.
-#[derive(Clone, Copy, Debug)]
-struct Habit {
-    client: Client,
-    /// Device time of a frame.
-    cost_ns: u64,
-    /// Frames that it has asked for and not got, always.
-    window: usize,
-    /// From one frame to its asking for another.
-    pause_ns: u64,
-}
-
-#[derive(Clone, Copy, Debug, Default)]
-struct Got {
-    frames: u64,
-    device_ns: u64,
-    longest_wait_ns: u64,
-}
-
+#[derive(Debug)]
 struct Flight {
     batch: Vec<Granted<Frame>>,
-    ns: u64,
+    lands_ns: u64,
 }
 
-struct Simulation {
-    habits: Vec<Habit>,
+/// What the render thread waits for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Until {
+    /// The first batch in flight lands at this time. The thread is busy until then.
+    Landing(u64),
+    /// A request comes, or this time.
+    Request(Option<u64>),
+}
+
+/// The queue, its estimates and a device.
+#[derive(Debug)]
+pub struct Device {
     queue: Queue<Frame>,
     costs: Costs,
     start: Instant,
-    now_ns: u64,
-    /// Clients by when they ask again.
-    asking: Vec<(u64, usize)>,
+    most_frames: usize,
+    /// Device time of a submission beside its frames.
+    submit_ns: u64,
     flights: VecDeque<Flight>,
-    got: Vec<Got>,
+    /// When the device is free.
+    free_ns: u64,
     busy_ns: u64,
-    /// Until when jobs are held back.
-    held_until_ns: Option<u64>,
 }
 
-impl Simulation {
-    fn new(habits: &[Habit], share: f64) -> Self {
-        let shares =
-            Shares { capacity: 4096, capacity_ns: u64::MAX, jobs: share, batch_ns: BATCH_NS };
-        let ask = |(number, habit): (usize, &Habit)| vec![(0, number); habit.window];
-        Self {
+impl Device {
+    /// Makes a device whose clock begins at `start`. A batch has `most_frames` frames at most.
+    pub fn new(shares: Shares, most_frames: usize, submit_ns: u64, start: Instant) -> Device {
+        Device {
             queue: Queue::new(shares),
             costs: Costs::default(),
-            start: Instant::now(),
-            now_ns: 0,
-            asking: habits.iter().enumerate().flat_map(ask).collect(),
+            start,
+            most_frames,
+            submit_ns,
             flights: VecDeque::new(),
-            got: vec![Got::default(); habits.len()],
-            habits: habits.to_vec(),
+            free_ns: 0,
             busy_ns: 0,
-            held_until_ns: None,
         }
     }
 
-    fn now(&self) -> Instant {
-        self.start + Duration::from_nanos(self.now_ns)
+    fn at(&self, ns: u64) -> Instant {
+        self.start + Duration::from_nanos(ns)
     }
 
-    fn key(&self, client: usize) -> CostKey {
-        CostKey { kind: client as u64, pixels: 1 }
+    /// Admits a frame at `now_ns`, which is later than its request if the client was refused before.
+    ///
+    /// # Errors
+    /// The queue is full. The value is the time after which the engine would tell the client to come again, in nanoseconds.
+    pub fn admit(&mut self, client: Client, frame: Frame, now_ns: u64) -> Result<(), u64> {
+        let cost_ns = self.costs.estimate_ns(frame.key());
+        let now = self.at(now_ns);
+        let (admitted, _) = self.queue.admit(client, frame, cost_ns, now);
+        let backlog = self.costs.duration(self.queue.backlog_ns(client.class()));
+        admitted.map_err(|_| u64::try_from(backlog.as_nanos()).unwrap_or(u64::MAX))
     }
 
-    /// Those ask whose time has come.
-    fn ask(&mut self) {
-        let due: Vec<(u64, usize)> =
-            self.asking.extract_if(.., |(at, _)| *at <= self.now_ns).collect();
-        for (asked_ns, client) in due {
-            let cost_ns = self.costs.estimate_ns(self.key(client));
-            let frame = Frame { client, asked_ns, pixels: 1 };
-            let name = self.habits[client].client;
-            let asked = self.start + Duration::from_nanos(asked_ns);
-            let (admitted, _) = self.queue.admit(name, frame, cost_ns, asked);
-            if admitted.is_err() {
-                self.asking.push((self.now_ns + 1_000_000, client));
-            }
-        }
+    /// Returns the number of frames that wait or are drawn.
+    pub fn frames(&self) -> usize {
+        self.queue.len() + self.flights.iter().map(|flight| flight.batch.len()).sum::<usize>()
     }
 
-    fn submit(&mut self) {
+    /// Returns the device time of everything that has landed.
+    pub fn busy_ns(&self) -> u64 {
+        self.busy_ns
+    }
+
+    /// Takes everything that waits or is drawn: the process is killed.
+    pub fn kill(&mut self) -> Vec<Frame> {
+        let flying = self.flights.drain(..).flat_map(|flight| flight.batch);
+        let mut frames: Vec<Frame> = flying.map(|granted| granted.job).collect();
+        frames.extend(self.queue.drain());
+        frames
+    }
+
+    /// Takes the next batch, and returns when jobs that are held back may be drawn.
+    fn submit(&mut self, now_ns: u64) -> Option<u64> {
         let flying = self.flights.iter().flat_map(|flight| &flight.batch);
         let moment = Moment {
-            now: self.now(),
+            now: self.at(now_ns),
             flying_ns: flying.clone().map(|granted| granted.cost_ns).sum(),
             are_jobs_flying: flying.clone().any(|granted| granted.client.class() == Class::Job),
             are_streams_open: false,
             are_jobs_held: false,
         };
-        let Taken { batch, held_for, .. } = self.queue.take(16, moment);
-        self.held_until_ns = held_for.map(|held| self.now_ns + held.as_nanos() as u64);
+        let Taken { batch, held_for, .. } = self.queue.take(self.most_frames, moment);
         if !batch.is_empty() {
-            let ns = batch.iter().map(|granted| self.habits[granted.job.client].cost_ns).sum();
-            self.flights.push_back(Flight { batch, ns });
+            let ns: u64 = batch.iter().map(|granted| granted.job.cost_ns).sum();
+            // It is drawn when the one before has landed.
+            self.free_ns = self.free_ns.max(now_ns) + ns + self.submit_ns;
+            self.flights.push_back(Flight { batch, lands_ns: self.free_ns });
+        }
+        held_for.map(|held| now_ns + held.as_nanos() as u64)
+    }
+
+    /// Works as the render thread does, until it waits.
+    pub fn work(&mut self, now_ns: u64) -> Until {
+        let mut held_ns = self.submit(now_ns);
+        let is_deep = |device: &Device| device.flights.len() >= DEPTH || device.queue.is_empty();
+        if !self.flights.is_empty() && !is_deep(self) {
+            held_ns = self.submit(now_ns);
+        }
+        match self.flights.front() {
+            Some(flight) => Until::Landing(flight.lands_ns),
+            None => Until::Request(held_ns),
         }
     }
 
-    /// The first flight lands; meanwhile others ask and one more is recorded.
-    fn land(&mut self) {
-        let Some(flight) = self.flights.pop_front() else { return };
-        self.now_ns += flight.ns;
-        self.busy_ns += flight.ns;
-        for granted in flight.batch {
-            let client = granted.job.client;
-            let habit = self.habits[client];
-            self.queue.settle(granted.client, granted.cost_ns, habit.cost_ns);
-            self.queue.landed(granted.client, self.now());
-            self.costs.measured(self.key(client), habit.cost_ns);
-            let got = &mut self.got[client];
-            got.frames += 1;
-            got.device_ns += habit.cost_ns;
-            got.longest_wait_ns = got.longest_wait_ns.max(self.now_ns - granted.job.asked_ns);
-            self.asking.push((self.now_ns + habit.pause_ns, client));
+    /// Lands the first batch in flight, and returns its frames in their order.
+    pub fn land(&mut self, now_ns: u64) -> Vec<Frame> {
+        let Some(flight) = self.flights.pop_front() else { return Vec::new() };
+        let now = self.at(now_ns);
+        let mut frames = Vec::with_capacity(flight.batch.len());
+        for Granted { client, cost_ns, job } in flight.batch {
+            self.queue.settle(client, cost_ns, job.cost_ns);
+            self.queue.landed(client, now);
+            self.costs.measured(job.key(), job.cost_ns);
+            self.busy_ns += job.cost_ns;
+            frames.push(job);
         }
-    }
-
-    fn run(&mut self, for_ns: u64) {
-        let until_ns = self.now_ns + for_ns;
-        while self.now_ns < until_ns {
-            self.ask();
-            self.submit();
-            if self.flights.len() >= 2 || !self.flights.is_empty() && self.queue.is_empty() {
-                self.land();
-            } else if self.flights.is_empty() {
-                let next = self.asking.iter().map(|(at, _)| *at).chain(self.held_until_ns).min();
-                self.now_ns = self.now_ns.max(next.unwrap());
-            } else {
-                // Two submissions at most; a second one that holds nothing lets the first land.
-                let before = self.flights.len();
-                self.submit();
-                if self.flights.len() == before {
-                    self.land();
-                }
-            }
-        }
-    }
-
-    /// After the queue has learnt what frames cost.
-    fn measure(habits: &[Habit], share: f64, for_ns: u64) -> Simulation {
-        let mut simulation = Simulation::new(habits, share);
-        simulation.run(for_ns / 4);
-        simulation.got.fill(Got::default());
-        simulation.busy_ns = 0;
-        simulation.run(for_ns);
-        simulation
-    }
-
-    fn share_of_jobs(&self) -> f64 {
-        let is_job = |number: &usize| self.habits[*number].client.class() == Class::Job;
-        (0..self.habits.len()).filter(is_job).map(|number| self.share(number)).sum()
-    }
-
-    fn share(&self, client: usize) -> f64 {
-        self.got[client].device_ns as f64 / self.busy_ns as f64
+        frames
     }
 }
 
-const MS: u64 = 1_000_000;
-const SECOND: u64 = 1_000 * MS;
-
-fn config(cases: u32) -> ProptestConfig {
-    ProptestConfig { cases, rng_seed: RngSeed::Fixed(0x51ea_0003), ..ProptestConfig::default() }
-}
-
-fn stream(number: u64, cost_ns: u64) -> Habit {
-    Habit { client: Client::Stream { of: number, number }, cost_ns, window: 2, pause_ns: 0 }
-}
-
-fn caller(number: u64, cost_ns: u64, window: usize) -> Habit {
-    Habit { client: Client::Caller(number), cost_ns, window, pause_ns: 0 }
-}
-
-fn film(number: u64, cost_ns: u64) -> Habit {
-    Habit { client: Client::Job(number), cost_ns, window: 32, pause_ns: 0 }
-}
-
-proptest! {
-    #![proptest_config(config(48))]
-    /// Clients that always have frames waiting, from thumbnails to frames of a hundred times their cost, get the same of the
-    /// device's time, to a frame's worth.
-    #[test]
-    fn who_has_frames_waiting_has_an_equal_share(
-        costs in prop::collection::vec(500_000u64..30 * MS, 2..9),
-        windows in prop::collection::vec(2usize..24, 9),
-        are_streams in prop::collection::vec(any::<bool>(), 9),
-    ) {
-        let habits: Vec<Habit> = costs.iter().enumerate().map(|(number, &cost_ns)| {
-            let (name, window) = (number as u64, windows[number].max((40 * MS / cost_ns) as usize));
-            match are_streams[number] {
-                true => Habit { window, ..stream(name, cost_ns) },
-                false => caller(name, cost_ns, window),
-            }
-        }).collect();
-        let simulation = Simulation::measure(&habits, 0.1, 20 * SECOND);
-        let fair = 1.0 / habits.len() as f64;
-        for client in 0..habits.len() {
-            let share = simulation.share(client);
-            let frame = 2.0 * habits[client].cost_ns as f64 / simulation.busy_ns as f64;
-            prop_assert!(share > 0.75 * fair - frame && share < 1.35 * fair + frame,
-                "{client}: {share} of {fair}: {habits:?}");
-        }
-    }
-
-    /// Streams, which have two frames asked for, against callers that have many: none gets under half its share.
-    #[test]
-    fn no_stream_gets_under_half_its_share(
-        streams in 1u64..8,
-        callers in 1u64..4,
-        cost_ms in 1u64..40,
-        window in 4usize..40,
-    ) {
-        let habits: Vec<Habit> = (0..streams).map(|number| stream(100 + number, cost_ms * MS))
-            .chain((0..callers).map(|number| caller(number, cost_ms * MS, window))).collect();
-        let simulation = Simulation::measure(&habits, 0.1, 30 * SECOND);
-        let fair = 1.0 / habits.len() as f64;
-        for client in 0..habits.len() {
-            prop_assert!(simulation.share(client) > 0.5 * fair, "{client}: {}", simulation.share(client));
-        }
-    }
-
-    /// Jobs get their share under a load that never ends, and little more; alone they get all.
-    #[test]
-    fn jobs_get_their_share_and_what_is_left(
-        share in 0.05f64..0.4,
-        cost_ms in 1u64..30,
-        job_ms in 1u64..60,
-        callers in 1u64..4,
-        pause_ms in 0u64..80,
-    ) {
-        let busy: Vec<Habit> = (0..callers).map(|number| caller(number, cost_ms * MS, 60))
-            .chain([film(0, job_ms * MS), film(1, job_ms * MS / 2)]).collect();
-        let loaded = Simulation::measure(&busy, share, 60 * SECOND);
-        let jobs = [callers as usize, callers as usize + 1].map(|client| loaded.share(client));
-        let sum: f64 = jobs.iter().sum();
-        prop_assert!((sum - share).abs() < 0.15 * share + 0.02, "{sum} of {share}");
-        prop_assert!(jobs.iter().all(|of| *of > 0.35 * sum), "{jobs:?}");
-        // Beside a stream it is the same, up to what a short batch of theirs is beside one of others.
-        let watched: Vec<Habit> = busy.iter().copied().chain([stream(100, cost_ms * MS)]).collect();
-        let watched = Simulation::measure(&watched, share.min(0.2), 60 * SECOND);
-        let of_jobs: f64 = watched.share_of_jobs();
-        prop_assert!((of_jobs - share.min(0.2)).abs() < 0.15 * share + 0.02, "{of_jobs} of {share}");
-        // One that asks for a frame now and then leaves the rest.
-        let now_and_then = Habit { pause_ns: pause_ms * MS, ..caller(0, cost_ms * MS, 1) };
-        let left = Simulation::measure(&[now_and_then, film(0, job_ms * MS)], share, 20 * SECOND);
-        // As many frames of the job as end before the next is asked for.
-        let fits_ms = pause_ms.saturating_sub(1) / job_ms * job_ms;
-        let least = 0.8 * fits_ms as f64 / (fits_ms + cost_ms) as f64;
-        let found = left.share(1);
-        prop_assert!(found > least.max(0.85 * share), "{found} of {least} and {share}");
-    }
-
-    /// Under flooding jobs a stream's frame waits for one batch of theirs at most, and for what it shares with others.
-    #[test]
-    fn a_streams_frame_waits_for_one_batch_of_jobs(
-        cost_ms in 1u64..20,
-        job_ms in 1u64..120,
-        pause_ms in 0u64..100,
-        window in 1usize..3,
-    ) {
-        let cost_ns = cost_ms * MS;
-        let moving = Habit { window, pause_ns: pause_ms * MS, ..stream(0, cost_ns) };
-        let habits = [moving, film(0, job_ms * MS), film(1, job_ms * MS / 2)];
-        let simulation = Simulation::measure(&habits, 0.1, 20 * SECOND);
-        let batch_of_jobs = JOB_BATCH_NS.max(job_ms * MS);
-        // Its own frames, twice because they are asked for one behind the other, and one batch of jobs.
-        let most = 2 * window as u64 * cost_ns + batch_of_jobs + MS;
-        let found = simulation.got[0].longest_wait_ns;
-        prop_assert!(found <= most, "{} ms of {}", found / MS, most / MS);
-        prop_assert!(simulation.got[1].frames > 0 && simulation.got[2].frames > 0);
-    }
-
-    /// Every waiting client is served, also against clients that come once each and without end.
-    #[test]
-    fn newcomers_without_end_starve_nobody(cost_ms in 1u64..30, dear_ms in 1u64..200, a_time in 1usize..6) {
-        let mut queue: Queue<Frame> = Queue::new(Shares { capacity: 64, capacity_ns: u64::MAX, jobs: 0.1, batch_ns: BATCH_NS });
-        let (now, dear) = (Instant::now(), Client::Caller(0));
-        let moment = Moment { now, flying_ns: 1, are_jobs_flying: false, are_streams_open: false, are_jobs_held: false };
-        let (mut comers, mut served, mut most) = (1u64, 0, 0);
-        let frame = |client| Frame { client, asked_ns: 0, pixels: 1 };
-        for round in 0..4000 {
-            if !queue.first.has_lane(dear) {
-                prop_assert!(queue.admit(dear, frame(0), dear_ms * MS, now).0.is_ok());
-                (served, most) = (round, most.max(round - served));
-            }
-            while queue.len() < a_time + 1 {
-                comers += 1;
-                let comer = Client::Caller(comers);
-                prop_assert!(queue.admit(comer, frame(1), cost_ms * MS, now).0.is_ok());
-            }
-            prop_assert_eq!(queue.take(1, moment).batch.len(), 1);
-            prop_assert!(queue.first.accounts() < 2000);
-        }
-        most = most.max(4000 - served);
-        // Its debt, paid at a quarter of an equal share at the slowest.
-        let bound = (4 * (a_time + 2) as u64 * dear_ms / cost_ms + 4 * (a_time + 2) as u64) as usize;
-        prop_assert!(most <= bound, "{most} rounds of {bound}");
-    }
-}
-
-/// A client that opens many streams has no more of the device than who opens one, or asks for frames.
-#[test]
-fn streams_of_one_caller_share_what_is_his() {
-    let of = |of, number| Habit { client: Client::Stream { of, number }, ..stream(0, 3 * MS) };
-    let many = (0..15).map(|number| of(1, number));
-    let habits: Vec<Habit> = many.chain([of(2, 15), caller(3, 3 * MS, 6)]).collect();
-    let simulation = Simulation::measure(&habits, 0.1, 60 * SECOND);
-    let his: f64 = (0..15).map(|client| simulation.share(client)).sum();
-    let shares = [his, simulation.share(15), simulation.share(16)];
-    assert!(shares.iter().all(|share| (0.2..0.45).contains(share)), "{shares:?}");
-    assert!((0..15).all(|client| simulation.share(client) > 0.5 * his / 15.0));
-    // Alone he has all of it.
-    let alone = Simulation::measure(&habits[..15], 0.1, 10 * SECOND);
-    assert!((0..15).all(|client| alone.share(client) > 0.9 / 15.0));
-}
-
-/// A stream whose next pose comes while a frame is drawn keeps most of its rate beside a job, which takes what is left where there is.
-#[test]
-fn a_stream_beside_a_job_keeps_its_rate() {
-    for (cost_ms, pause_ms, least) in [(17, 8, 0.8), (17, 0, 0.85), (4, 2, 0.8)] {
-        let moving = Habit { pause_ns: pause_ms * MS, ..stream(0, cost_ms * MS) };
-        let alone = Simulation::measure(&[moving], 0.1, 20 * SECOND);
-        let beside = Simulation::measure(&[moving, film(0, 10 * MS)], 0.1, 20 * SECOND);
-        let kept = beside.got[0].frames as f64 / alone.got[0].frames as f64;
-        assert!(kept > least, "{cost_ms} {pause_ms}: {kept}");
-        assert!(beside.share(1) > 0.08, "{}", beside.share(1));
-    }
-    // One that draws a frame of 5 ms every 30 leaves most of the device.
-    let seldom = Habit { pause_ns: 25 * MS, window: 1, ..stream(0, 5 * MS) };
-    let beside = Simulation::measure(&[seldom, film(0, 4 * MS)], 0.1, 20 * SECOND);
-    assert!(beside.share(1) > 0.6, "{}", beside.share(1));
-}
-
-/// A client that asks for one frame after the other keeps most of that rate beside a job whose frames are as dear, or dearer: they get their share, and
-/// do not begin in the pause after each frame.
-#[test]
-fn one_frame_after_the_other_keeps_its_rate_beside_a_job() {
-    for client in [Client::Stream { of: 0, number: 0 }, Client::Caller(0)] {
-        for (cost_ms, pause_ms, job_ms) in [(40, 2, 40), (40, 2, 120), (5, 28, 100), (8, 10, 300)] {
-            let (cost_ns, pause_ns) = (cost_ms * MS, pause_ms * MS);
-            let habit = Habit { client, cost_ns, window: 1, pause_ns };
-            let alone = Simulation::measure(&[habit], 0.1, 60 * SECOND);
-            let beside = Simulation::measure(&[habit, film(0, job_ms * MS)], 0.1, 60 * SECOND);
-            let kept = beside.got[0].frames as f64 / alone.got[0].frames as f64;
-            let of_job = beside.got[1].device_ns as f64 / (60 * SECOND) as f64;
-            let what = format!("{client:?} {cost_ms} {pause_ms} {job_ms}: {kept} {of_job}");
-            assert!(kept > 0.85 && of_job > 0.08, "{what}");
-        }
-    }
-}
-
-/// The measured way of it: eight streams of unlike frames and a flooding job.
-#[test]
-fn eight_streams_and_a_job() {
-    let habits: Vec<Habit> =
-        (0..8).map(|number| stream(number, (4 + number) * MS)).chain([film(0, 25 * MS)]).collect();
-    let simulation = Simulation::measure(&habits, 0.1, 60 * SECOND);
-    let shares: HashMap<usize, f64> =
-        (0..9).map(|client| (client, simulation.share(client))).collect();
-    assert!((0..8).all(|client| (0.9 / 8.0 - shares[&client]).abs() < 0.02), "{shares:?}");
-    assert!((shares[&8] - 0.1).abs() < 0.02, "{shares:?}");
-}
+#[cfg(test)]
+mod tests;
