@@ -40,11 +40,13 @@ impl Section {
 fn main() -> anyhow::Result<()> {
     let measured = Measured::read()?;
     let mut text = String::new();
-    let makers: [(&str, fn(&Measured) -> Vec<Section>); 2] =
-        [("Films", workers::sections), ("Frames for clients", interactive::sections)];
-    for (title, make) in makers {
+    let parts = [
+        ("Films", workers::sections(&measured)),
+        ("Frames for clients", interactive::sections(&measured)),
+    ];
+    for (title, sections) in parts {
         text += &format!("### {title}\n\n");
-        for section in make(&measured) {
+        for section in sections {
             text += &section.markdown();
         }
     }
