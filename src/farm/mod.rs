@@ -24,10 +24,10 @@
 //! [`pacing`], [`desk`] and [`roster`] are pure.
 
 pub mod broker;
-mod bundle;
+pub(crate) mod bundle;
 mod daemon;
 mod desk;
-mod messages;
+pub(crate) mod messages;
 mod pacing;
 mod roster;
 mod store;
