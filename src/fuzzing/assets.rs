@@ -60,7 +60,7 @@ pub fn read_as(extension: &str, data: &[u8]) {
         std::fs::write(&path, data).unwrap();
         let asset = checked(&path);
         if data.len().is_multiple_of(GZIPPED_EVERY) {
-            let path = folder.join(format!("{name}.gz"));
+            // Compression is seen by the content, so that the name, which warnings have, may stay.
             std::fs::write(&path, gzipped(data)).unwrap();
             match (&asset, &checked(&path)) {
                 (Some(plain), Some(gzipped)) => {

@@ -9,6 +9,7 @@
 mod assets;
 mod finite;
 mod records;
+mod scenes;
 #[cfg(test)]
 mod tests;
 
@@ -18,6 +19,11 @@ use crate::{bake, http};
 
 /// A function of a fuzz target.
 pub(crate) type Run = fn(&[u8]);
+
+/// The text that bytes are, if they are UTF-8.
+pub(crate) fn text(data: &[u8]) -> Option<&str> {
+    std::str::from_utf8(data).ok()
+}
 
 /// Something that reads bytes from outside.
 pub struct Target {
@@ -44,7 +50,13 @@ impl Target {
 pub fn targets() -> Vec<Target> {
     let formats =
         FORMATS.iter().map(|&name| Target::new(name, move |data| assets::read_as(name, data)));
-    let lists = [assets::TARGETS, records::TARGETS, http::FUZZ_TARGETS, bake::cache::FUZZ_TARGETS];
+    let lists = [
+        assets::TARGETS,
+        scenes::TARGETS,
+        records::TARGETS,
+        http::FUZZ_TARGETS,
+        bake::cache::FUZZ_TARGETS,
+    ];
     let others = lists.into_iter().flatten().map(|&(name, run)| Target::new(name, run));
     formats.chain(others).collect()
 }

@@ -9,8 +9,8 @@ for argument; do
     previous=$argument
 done
 case $crate in
-pointillist | base64 | e57 | exr | flate2 | fdeflate | gltf | gltf_json | half | image | image_webp | las | laz | miniz_oxide | png | roxmltree | serde_json | serde_path_to_error | serde_urlencoded | form_urlencoded | percent_encoding | tobj | toml | toml_parser | zip | zune_core | zune_jpeg)
-    exec "$@" -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
+base64 | e57 | exr | fdeflate | flate2 | form_urlencoded | gltf | gltf_json | image | image_webp | las | laz | miniz_oxide | pointillist | png | roxmltree | serde_json | serde_path_to_error | serde_urlencoded | tobj | toml | toml_parser | zip | zune_jpeg)
+    exec "$@" --cfg fuzzing -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
         -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
         -Cllvm-args=-sanitizer-coverage-trace-compares
     ;;
