@@ -59,7 +59,8 @@ pub fn read_as(extension: &str, data: &[u8]) {
         let path = folder.join(&name);
         std::fs::write(&path, data).unwrap();
         let asset = checked(&path);
-        if data.len().is_multiple_of(GZIPPED_EVERY) {
+        let is_gzipped = data.starts_with(&[0x1f, 0x8b]);
+        if !is_gzipped && data.len().is_multiple_of(GZIPPED_EVERY) {
             // Compression is seen by the content, so that the name, which warnings have, may stay.
             std::fs::write(&path, gzipped(data)).unwrap();
             match (&asset, &checked(&path)) {
@@ -71,6 +72,17 @@ pub fn read_as(extension: &str, data: &[u8]) {
             }
         }
     });
+}
+
+/// What a file holds, whose content alone tells its format.
+pub fn any_asset(data: &[u8]) -> Option<Asset> {
+    let mut asset = None;
+    in_folder(|folder| {
+        let path = folder.join("any");
+        std::fs::write(&path, data).unwrap();
+        asset = read(&path, &options()).ok();
+    });
+    asset
 }
 
 /// A gzipped file without compression, which is made faster.
@@ -110,9 +122,7 @@ fn refused(error: &AssetError, path: &Path) {
 fn kept_bytes(asset: &Asset) -> u64 {
     let geometry = |geometry: &Geometry| match geometry {
         Geometry::Points(points) => size_of_val(&points.positions[..]),
-        Geometry::Mesh(mesh) => {
-            size_of_val(&mesh.positions[..]) + size_of_val(&mesh.triangles[..])
-        }
+        Geometry::Mesh(mesh) => size_of_val(&mesh.positions[..]) + size_of_val(&mesh.triangles[..]),
         Geometry::Lines(lines) => size_of_val(&lines.positions[..]),
     };
     let texels = asset.textures.iter().map(|texture| size_of_val(&texture.rgba[..]));

@@ -13,6 +13,7 @@ mod scenes;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use self::assets::any_asset;
 pub(crate) use self::finite::assert_finite;
 use crate::assets::FORMATS;
 use crate::{bake, http};

@@ -34,8 +34,18 @@ fn corpus(target: &str) -> Vec<(String, Vec<u8>)> {
 /// Changes an input in a few places.
 fn mutated(random: &mut SplitMix64, files: &[(String, Vec<u8>)]) -> Vec<u8> {
     const BYTES: [u8; 12] = *b"\0\x01\x7f\x80\xff 09-.\n\"";
-    const WORDS: [&str; 10] =
-        ["-1", "0", "4294967296", "18446744073709551615", "1e999", "NaN", "inf", "-0.0", "{}", "[]"];
+    const WORDS: [&str; 10] = [
+        "-1",
+        "0",
+        "4294967296",
+        "18446744073709551615",
+        "1e999",
+        "NaN",
+        "inf",
+        "-0.0",
+        "{}",
+        "[]",
+    ];
     let mut below = |count: usize| (random.next_u64() % count.max(1) as u64) as usize;
     let mut bytes = files[below(files.len())].1.clone();
     for _ in 0..=below(4) {
