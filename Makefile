@@ -8,7 +8,7 @@ ARGS  ?=
 export PATH := $(PATH):$(or $(CARGO_HOME),$(HOME)/.cargo)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup build run test check fuzz-http fmt lint bench compare audit capacity report pictures soak data clean-scenes clean
+.PHONY: help setup build run test check fuzz fuzz-http fmt lint bench compare audit capacity report pictures soak data clean-scenes clean
 
 help: ## this list
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -30,6 +30,9 @@ check: setup ## formatting, lints, unit tests and shaders: what to run before ea
 	cargo fmt --check
 	cargo clippy --all-targets --locked $$(scripts/features.sh) -- -D warnings
 	cargo test --locked $$(scripts/features.sh) --quiet --lib --test shaders
+
+fuzz: setup ## every reader of bytes from outside in libFuzzer, 1,000,000 executions each; needs a C++ compiler (TARGETS=, FUZZ_RUNS=)
+	@scripts/fuzz.sh
 
 fuzz-http: setup ## 10,000 requests made from openapi.yaml, to a daemon of its own (CASES=)
 	cargo build --locked $$(scripts/features.sh)

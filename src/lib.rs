@@ -29,6 +29,9 @@ pub mod encode;
 pub mod engine;
 pub mod farm;
 pub mod film;
+#[cfg(any(test, fuzzing))]
+#[doc(hidden)]
+pub mod fuzzing;
 pub mod generate;
 pub mod gpu;
 pub mod http;

@@ -237,7 +237,7 @@ impl Journal {
 }
 
 /// The records of a journal, and the length of the text that holds them.
-fn parse(path: &Path, text: &[u8]) -> Result<(Vec<Record>, usize), JournalError> {
+pub(crate) fn parse(path: &Path, text: &[u8]) -> Result<(Vec<Record>, usize), JournalError> {
     let kept = text.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);
     let mut records = Vec::new();
     for (number, line) in text[..kept].split_inclusive(|&byte| byte == b'\n').enumerate() {

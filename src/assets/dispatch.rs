@@ -3,6 +3,8 @@
 use std::io::{BufRead, Write};
 use std::path::Path;
 
+#[cfg(any(test, fuzzing))]
+use super::input::HEAD_BYTES;
 use super::input::Input;
 use super::warnings::condensed;
 use super::{
@@ -190,6 +192,13 @@ fn unpack(mut input: Input) -> Result<tempfile::NamedTempFile, AssetError> {
     std::io::copy(&mut input.reader, &mut file).map_err(fail)?;
     file.flush().map_err(fail)?;
     Ok(file)
+}
+
+/// Whether a file goes to the reader that its extension names, and to no other because of its content.
+#[cfg(any(test, fuzzing))]
+pub(crate) fn goes_by_extension(head: &[u8], name: &str) -> bool {
+    let head = head.get(..HEAD_BYTES as usize).unwrap_or(head);
+    by_extension(&extension(name), head) == Some(recognise(head, name))
 }
 
 fn recognise(head: &[u8], name: &str) -> Format {

@@ -15,7 +15,7 @@ use super::{AssetError, NamedFiles, Progress, ReadOptions};
 use crate::memory::{Admission, Interrupt};
 
 /// Bytes that recognition looks at.
-const HEAD_BYTES: u64 = 8 << 10;
+pub(super) const HEAD_BYTES: u64 = 8 << 10;
 const BUFFER_BYTES: usize = 256 << 10;
 /// A stream of unknown length is admitted in such pieces.
 const PIECE_BYTES: u64 = 1 << 20;

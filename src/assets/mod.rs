@@ -46,6 +46,8 @@ use std::path::PathBuf;
 use glam::{DAffine3, DVec3, Vec2, Vec3};
 
 pub use self::blocks::{PointBlocks, Survey};
+#[cfg(any(test, fuzzing))]
+pub(crate) use self::dispatch::goes_by_extension;
 pub use self::dispatch::{FORMATS, is_supported_extension, read, stands_alone};
 pub use self::environment::EnvironmentImage;
 pub use self::fields::{Field, Fields};

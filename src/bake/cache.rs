@@ -16,6 +16,8 @@
 
 mod check;
 mod entry;
+#[cfg(any(test, fuzzing))]
+mod fuzzing;
 mod record;
 
 use std::ffi::OsString;
@@ -27,6 +29,8 @@ use std::time::{Duration, SystemTime};
 use sha2::{Digest, Sha256};
 
 use self::entry::{Entry, Refusal, SpilledEntry};
+#[cfg(any(test, fuzzing))]
+pub(crate) use self::fuzzing::TARGETS as FUZZ_TARGETS;
 use super::external::{Spill, Spilled, disk_bytes};
 use super::pack::PackedGeometry;
 use super::tree::TreeStatistics;

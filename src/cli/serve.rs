@@ -341,7 +341,7 @@ fn with_file(args: ServeArgs) -> anyhow::Result<ServeArgs> {
     Ok(args.or(file))
 }
 
-fn parse_file(text: &str) -> anyhow::Result<ServeArgs> {
+pub(crate) fn parse_file(text: &str) -> anyhow::Result<ServeArgs> {
     let table: toml::Table = text.parse()?;
     let known = setting_names();
     if let Some(key) = table.keys().find(|key| !known.contains(key)) {

@@ -110,7 +110,7 @@ pub async fn unpack(store: &Store, bundle: &Bundle, folder: &Path) -> Result<Sou
 }
 
 /// Returns a path below a folder.
-fn below(folder: &Path, path: &str) -> Result<PathBuf, BundleError> {
+pub(crate) fn below(folder: &Path, path: &str) -> Result<PathBuf, BundleError> {
     let is_inner = |part: Component<'_>| matches!(part, Component::Normal(_));
     if !Path::new(path).components().all(is_inner) {
         return Err(BundleError::Path(path.to_owned()));

@@ -24,7 +24,7 @@
 //! [`pacing`], [`desk`] and [`roster`] are pure.
 
 pub mod broker;
-mod bundle;
+pub(crate) mod bundle;
 mod daemon;
 pub mod desk;
 pub mod messages;

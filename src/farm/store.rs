@@ -182,7 +182,7 @@ impl Store {
         let text = self.get(&name).await?;
         let before = text.and_then(|text| std::str::from_utf8(&text).ok()?.parse().ok());
         let before: u64 = before.unwrap_or(0);
-        self.put(&name, (before + 1).to_string().into()).await?;
+        self.put(&name, before.saturating_add(1).to_string().into()).await?;
         Ok(before)
     }
 

@@ -310,7 +310,7 @@ fn not_measured(id: &str) -> Problem {
 }
 
 /// Reads and checks a body.
-fn wanted(value: Value) -> Result<Wanted, Problem> {
+pub(super) fn wanted(value: Value) -> Result<Wanted, Problem> {
     let Some(object) = value.as_object() else {
         return Err(Problem::new(Kind::BadBody, "the body is no JSON object").accepted("{}"));
     };

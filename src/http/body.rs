@@ -148,7 +148,7 @@ pub async fn json<T: DeserializeOwned>(
 }
 
 /// Parses JSON. The error names the value that is wrong, where it has a name, and its line and column.
-fn parse_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
+pub(super) fn parse_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
     check_keys(bytes)
         .map_err(|found| Problem::new(Kind::BadBody, found.to_string()).at(found.path))?;
     let mut deserializer = serde_json::Deserializer::from_slice(bytes);

@@ -190,7 +190,7 @@ pub async fn compare(
 }
 
 /// A checked request.
-struct Asked {
+pub(super) struct Asked {
     a: FrameParams,
     /// `None` for a reference.
     b: Option<FrameParams>,
@@ -208,7 +208,7 @@ struct Side {
 }
 
 impl Asked {
-    fn read(request: CompareRequest, longest: u32) -> Result<Asked, Problem> {
+    pub(super) fn read(request: CompareRequest, longest: u32) -> Result<Asked, Problem> {
         for name in request.frame.keys() {
             NAMES.check(name)?;
         }

@@ -34,6 +34,8 @@ mod conditional;
 mod connection;
 mod frame;
 mod frames;
+#[cfg(any(test, fuzzing))]
+mod fuzzing;
 mod gate;
 mod headcount;
 mod headers;
@@ -79,6 +81,8 @@ use axum::routing::{get, patch, post};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::cors::{AllowOrigin, CorsLayer};
 
+#[cfg(any(test, fuzzing))]
+pub(crate) use fuzzing::TARGETS as FUZZ_TARGETS;
 pub use jobs::WatchLimits;
 pub use names::slug;
 pub use openapi::{openapi_json, openapi_yaml};

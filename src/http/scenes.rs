@@ -191,7 +191,7 @@ pub async fn patch_node(
     Ok(Json(SceneState::Ready(Box::new(info))).into_response())
 }
 
-fn node_change(value: serde_json::Value) -> Result<NodeChange, Problem> {
+pub(super) fn node_change(value: serde_json::Value) -> Result<NodeChange, Problem> {
     let keys = value.as_object().into_iter().flat_map(|object| object.keys());
     if let Some(name) = keys.into_iter().find(|name| !CHANGE_KEYS.contains(&name.as_str())) {
         return Err(unknown_name(name, &CHANGE_KEYS, &CHANGE_SYNONYMS));
@@ -203,7 +203,7 @@ fn node_change(value: serde_json::Value) -> Result<NodeChange, Problem> {
 }
 
 impl NodeChange {
-    fn patch(&self) -> Result<NodePatch, Problem> {
+    pub(super) fn patch(&self) -> Result<NodePatch, Problem> {
         if *self == NodeChange::default() {
             return Err(Problem::new(Kind::BadBody, "the body changes nothing")
                 .accepted(CHANGE_KEYS.join(", ")));

@@ -22,7 +22,9 @@
 
 use std::collections::BTreeMap;
 
-pub use super::record::{Failure, FailureKind, JobId, Made, Record, Repeat, State, Video};
+pub use super::record::{
+    Failure, FailureKind, JobId, LARGEST_COUNT, Made, Record, Repeat, State, Video,
+};
 use super::spec::Spec;
 
 /// Limits of a book.

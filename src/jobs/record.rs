@@ -1,11 +1,25 @@
 //! The stored record of a job: its specification, state and results.
 
-use serde::{Deserialize, Serialize};
+use serde::de::{Error, Unexpected};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::spec::Spec;
 
 /// A job's number.
 pub type JobId = u64;
+
+/// Largest number that a stored job may have counted to. No server gets there, and one can still be added to it.
+pub const LARGEST_COUNT: u64 = u64::MAX >> 1;
+
+/// Reads a number that is counted on from.
+fn count<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u64, D::Error> {
+    let number = u64::deserialize(deserializer)?;
+    if number <= LARGEST_COUNT {
+        return Ok(number);
+    }
+    let expected = "a whole number up to 9223372036854775807";
+    Err(D::Error::invalid_value(Unexpected::Unsigned(number), &expected))
+}
 
 /// State of a job.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -85,6 +99,7 @@ pub struct Video {
 /// A job.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Record {
+    #[serde(deserialize_with = "count")]
     pub id: JobId,
     pub spec: Spec,
     /// Key that created it; `None` where there were no keys.
@@ -101,8 +116,10 @@ pub struct Record {
     /// Time when it entered its state.
     pub since_ms: u64,
     /// Place in the queue: the smallest is next.
+    #[serde(deserialize_with = "count")]
     pub turn: u64,
     /// Frames drawn, in all runs together.
+    #[serde(deserialize_with = "count")]
     pub drawn: u64,
 }
 

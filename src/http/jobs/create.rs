@@ -145,7 +145,7 @@ pub async fn create(
 }
 
 /// Returns the `Idempotency-Key` of a request.
-fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
+pub(in crate::http) fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
     const NAME: &str = "Idempotency-Key";
     let fail = |reason: &str| {
         Err(Problem::parameter(
@@ -173,7 +173,7 @@ fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
 }
 
 /// Reads the specification of a job from a body, as far as possible without looking at a scene.
-fn spec(value: Value) -> Result<Spec, Problem> {
+pub(in crate::http) fn spec(value: Value) -> Result<Spec, Problem> {
     let Some(object) = value.as_object() else {
         return Err(
             Problem::new(Kind::BadBody, "the body is not a JSON object").accepted(NAMES.join(", "))

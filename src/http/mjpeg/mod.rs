@@ -113,7 +113,7 @@ pub async fn mjpeg(
 }
 
 impl ScreeningParams {
-    fn from_query(query: Option<&str>) -> Result<(Self, FrameParams), Problem> {
+    pub(super) fn from_query(query: Option<&str>) -> Result<(Self, FrameParams), Problem> {
         const FRAMES_PER_SECOND: &str = "0.1 to 120 frames per second";
         let (mut wanted, mut params) = (ScreeningParams::default(), FrameParams::default());
         for (name, value) in pairs(query)? {

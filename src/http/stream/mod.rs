@@ -17,7 +17,7 @@ mod places;
 mod pose_schedule;
 mod send_queue;
 mod session;
-mod wire;
+pub(super) mod wire;
 
 use std::sync::Arc;
 

@@ -170,7 +170,7 @@ pub async fn retry(
 }
 
 /// Parameters of the query.
-struct Target {
+pub(super) struct Target {
     id: Option<String>,
     name: Option<String>,
     /// A unit vector.
@@ -178,7 +178,7 @@ struct Target {
 }
 
 impl Target {
-    fn from_uri(uri: &Uri) -> Result<Self, Problem> {
+    pub(super) fn from_uri(uri: &Uri) -> Result<Self, Problem> {
         let mut target = Target { id: None, name: None, up: None };
         for (name, value) in pairs(uri.query())? {
             match name.as_str() {
@@ -210,6 +210,16 @@ impl Target {
             reason,
             "set `up` in the scene file, or leave the parameter out",
         ))
+    }
+}
+
+#[cfg(any(test, fuzzing))]
+impl Target {
+    /// Panics where a parameter that was accepted cannot be used.
+    pub(super) fn check(self) {
+        assert!(self.id.is_none_or(|id| valid_id(id).is_ok()));
+        assert!(self.name.is_none_or(|name| valid_file_name(&name).is_ok()));
+        assert!(self.up.is_none_or(|up| (up.length() - 1.0).abs() < 1e-9));
     }
 }
 

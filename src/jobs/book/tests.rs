@@ -468,3 +468,23 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn counts_of_a_stored_job_leave_room_for_the_next() {
+    let mut before = book();
+    let id = admit(&mut before, "a", 1);
+    let stored = |field: &str, number: u64| {
+        let mut record = serde_json::to_value(before.get(id).unwrap()).unwrap();
+        record[field] = number.into();
+        serde_json::from_value::<Record>(record)
+    };
+    for field in ["id", "turn", "drawn"] {
+        assert!(stored(field, LARGEST_COUNT).is_ok(), "{field}");
+        let refused = stored(field, LARGEST_COUNT + 1).unwrap_err().to_string();
+        assert!(refused.contains("up to 9223372036854775807"), "{field}: {refused}");
+    }
+    let last = stored("turn", LARGEST_COUNT).unwrap();
+    let mut book = Book::new(LIMITS, [Record { id: LARGEST_COUNT, ..last }], LARGEST_COUNT);
+    assert_eq!(admit(&mut book, "b", 2), LARGEST_COUNT + 1);
+    assert_eq!(draw(&mut book, 3, all), Some(LARGEST_COUNT));
+}

@@ -17,7 +17,7 @@ use redb::{
     Builder, Database, DatabaseError, ReadableDatabase, ReadableTable, TableDefinition, TableError,
 };
 
-use crate::jobs::book::{JobId, Record};
+use crate::jobs::book::{JobId, LARGEST_COUNT, Record};
 
 /// Records as JSON, by job.
 pub const JOBS: TableDefinition<'_, JobId, &[u8]> = TableDefinition::new("jobs");
@@ -161,7 +161,9 @@ fn content(database: &Database) -> Result<Content, redb::Error> {
     let mut content = Content::default();
     match look.open_table(NUMBERS) {
         Ok(numbers) => {
-            content.last_id = numbers.get(LAST_ID)?.map_or(0, |last| last.value());
+            let last_id = numbers.get(LAST_ID)?.map_or(0, |last| last.value());
+            // A larger number is damage.
+            content.last_id = last_id.min(LARGEST_COUNT);
         }
         Err(TableError::TableDoesNotExist(_)) => {}
         Err(error) => return Err(error.into()),

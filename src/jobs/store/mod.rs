@@ -34,7 +34,7 @@ use parking_lot::Mutex;
 pub use self::place::Place;
 
 use self::database::{Change, Content, Fault, Ledger, Opener, file_opener};
-use super::book::{Failure, FailureKind, JobId, Made, Record, State};
+use super::book::{Failure, FailureKind, JobId, LARGEST_COUNT, Made, Record, State};
 
 const LOCK: &str = ".lock";
 const DATABASE: &str = "jobs.redb";
@@ -134,7 +134,7 @@ impl Store {
         let Content { mut records, mut last_id, unreadable } = content;
         for (id, reason) in &unreadable {
             warnings.push(format!("cannot read the record of job {id}: {reason}"));
-            last_id = last_id.max(*id);
+            last_id = last_id.max((*id).min(LARGEST_COUNT));
         }
         store
             .find_again(&mut records, &mut last_id, now_ms, &mut warnings)
@@ -151,10 +151,8 @@ impl Store {
         warnings: &mut Vec<String>,
     ) -> io::Result<()> {
         for item in fs::read_dir(self.folder.join(FOLDERS))? {
-            let Some(id) = item?.file_name().to_str().and_then(|name| name.parse::<JobId>().ok())
-            else {
-                continue;
-            };
+            let id = item?.file_name().to_str().and_then(|name| name.parse::<JobId>().ok());
+            let Some(id) = id.filter(|id| *id <= LARGEST_COUNT) else { continue };
             *last_id = (*last_id).max(id);
             let place = self.place(id);
             if place.is_buried() {

@@ -70,6 +70,16 @@ fn what_is_put_is_found() {
 }
 
 #[test]
+fn folders_that_no_job_can_have_are_left_alone() {
+    let at = tempfile::tempdir().unwrap();
+    drop(open(at.path()));
+    let folder = at.path().join("jobs").join(u64::MAX.to_string());
+    fs::create_dir(&folder).unwrap();
+    assert_eq!(open(at.path()).last_id, 0);
+    assert!(folder.exists());
+}
+
+#[test]
 fn a_folder_is_one_process_at_a_time() {
     let at = tempfile::tempdir().unwrap();
     let first = open(at.path());
