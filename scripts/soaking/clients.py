@@ -276,7 +276,8 @@ class Rogue(Actor):
             (f"/v1/scenes/{slot.name}/frame?w=9999999&h=9", 422),
         ))
         reply = self.caller.ask("GET", path)
-        if reply.status not in (status, 404) and not self.world.refused(reply):
+        # The scene may be missing or loading.
+        if reply.status not in (status, 404, 409) and not self.world.refused(reply):
             self.world.fault("wrong refusal", f"{path}: {reply.brief()}")
 
     def silent_stream(self, slot):
