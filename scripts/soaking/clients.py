@@ -33,7 +33,11 @@ class Actor(threading.Thread):
                 raise
 
     def slot(self):
-        return self.chance.choice(self.world.slots)
+        """One of the slots, mostly one that has a scene."""
+        chosen = self.chance.choice(self.world.slots)
+        if chosen.now()[0] is None and self.chance.random() < 0.8:
+            chosen = self.chance.choice([slot for slot in self.world.slots if slot.now()[0]] or [chosen])
+        return chosen
 
 
 class Viewer(Actor):

@@ -185,14 +185,14 @@ class World:
                 self.parked -= 1
         return not self.ended.is_set()
 
-    def refused(self, reply, kinds=()):
+    def refused(self, reply):
         """Counts a refusal that a client may get at any time, and tells whether the answer is one.
 
         429 and 503 say when to come again. A full disk is said with 507.
         """
         if reply.status in (429, 503):
             self.count(f"refused {reply.status} {reply.kind()}")
-            if reply.header("retry-after") is None and reply.kind() not in ("shutting-down", "not-ready", *kinds):
+            if reply.header("retry-after") is None:
                 self.fault("refusal", f"no Retry-After: {reply.brief()}")
             return True
         if reply.status == 507 and self.overlaps(self.full_disks, reply.began, reply.ended):
