@@ -60,7 +60,7 @@ capacity: setup ## a simulation of 1,000 workers and 100,000 clients, as a table
 report: setup ## what accuracy costs, beside VTK, Open3D and four papers, in target/report, within 40 minutes (REPORT_QUICK=1, REPORT_RECORD=1)
 	@scripts/report.sh
 
-soak: setup ## hostile uploads for five minutes in 2 GiB of address space (SOAK_SECONDS=)
+soak: setup ## hostile uploads, then load and faults for 30 minutes, every frame compared with a fresh render (SOAK=8h, SOAK_SEED=)
 	@scripts/soak.sh
 
 pictures: build ## redraw the README's pictures, docs/img/*.png

@@ -12,14 +12,10 @@ Exit status 1 if frames differ or a limit is missed. Needs nats-server (scripts/
 import argparse
 import hashlib
 import json
-import math
-import os
 import random
-import shutil
 import signal
 import socket
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -27,69 +23,26 @@ import urllib.error
 import urllib.request
 from pathlib import Path
 
-FPS = 30
+from processes import Processes, free_port, nats_command, write_wall
 
 
-def nats_program():
-    own = Path(__file__).resolve().parent.parent / "target/nats/usr/sbin/nats-server"
-    for name in ("nats-server", "/usr/sbin/nats-server", str(own)):
-        found = shutil.which(name)
-        if found:
-            return found
-    sys.exit("cluster: no nats-server here; scripts/setup-nats.sh installs one")
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-def write_scene(root, frames, points):
-    """A wavy wall of points, and a path around it."""
-    side = int(math.sqrt(points))
-    lines = [
-        "ply", "format ascii 1.0", f"element vertex {side * side}",
-        "property float x", "property float y", "property float z",
-        "property uchar red", "property uchar green", "property uchar blue", "end_header",
-    ]
-    for row in range(side):
-        for column in range(side):
-            x, y = (2 * column / (side - 1) - 1, 2 * row / (side - 1) - 1)
-            z = 0.2 * math.sin(5 * x) * math.cos(4 * y)
-            lines.append(f"{x:.5f} {y:.5f} {z:.5f} {255 * column // side} {255 * row // side} 90")
-    (root / "wall.ply").write_text("\n".join(lines) + "\n")
-    end = (frames - 1) / FPS
-    keys = [
-        {"t": 0, "eye": [0, 0, 3], "target": [0, 0, 0]},
-        {"t": end / 2, "eye": [2, 1, 2], "target": [0, 0, 0]},
-        {"t": end, "eye": [-2, 0.5, 2], "target": [0, 0, 0]},
-    ]
-    scene = {
-        "pointillist": 1, "name": "wall", "assets": {"w": {"file": "wall.ply"}},
-        "nodes": [{"asset": "w"}], "paths": {"fly": {"fps": FPS, "keys": keys}},
-    }
-    (root / "wall.json").write_text(json.dumps(scene))
-
-
-class Cluster:
-    """Processes of a cluster, by name; each can be killed and started again."""
+class Cluster(Processes):
+    """The processes of a cluster."""
 
     def __init__(self, options, folder):
-        self.options, self.folder = options, folder
+        super().__init__(folder)
+        self.options = options
         self.root = folder / "root"
         self.root.mkdir()
-        write_scene(self.root, options.frames, options.points)
+        write_wall(self.root, options.frames, options.points)
         self.nats_port, self.http_port = free_port(), free_port()
-        self.store = folder / "store"
-        self.processes = {}
-        self.shared = ["--nats", f"nats://127.0.0.1:{self.nats_port}", "--store", str(self.store)]
+        self.shared = ["--nats", f"nats://127.0.0.1:{self.nats_port}", "--store", str(folder / "store")]
 
     def command(self, name):
         program = self.options.program
         serve = [program, "serve", "--listen", f"127.0.0.1:{self.http_port}", "--root", str(self.root), "--no-cache"]
         if name == "broker":
-            return [nats_program(), "-js", "-sd", str(self.folder / "nats"), "-a", "127.0.0.1", "-p", str(self.nats_port)]
+            return nats_command(self.folder / "nats", self.nats_port)
         if name == "alone":
             return serve + ["--state", str(self.folder / "state-alone")]
         if name == "daemon":
@@ -97,20 +50,7 @@ class Cluster:
         return [program, "worker", "--no-cache"] + self.shared
 
     def start(self, name):
-        with open(self.folder / f"{name}.log", "ab") as log:
-            environment = dict(os.environ, TMPDIR=str(self.folder))
-            self.processes[name] = subprocess.Popen(
-                self.command(name), stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=environment
-            )
-
-    def end(self, name, how=signal.SIGTERM):
-        process = self.processes.pop(name)
-        process.send_signal(how)
-        process.wait()
-
-    def end_all(self):
-        for name in list(self.processes):
-            self.end(name, signal.SIGKILL)
+        self.spawn(name, self.command(name))
 
     def ask(self, path, body=None):
         data = None if body is None else json.dumps(body).encode()
@@ -289,8 +229,7 @@ def main():
         try:
             {"kills": kills, "speed": speed}[options.what](options, cluster)
         except SystemExit:
-            for log in sorted(Path(folder).glob("*.log")):
-                print(f"--- {log.name}\n{log.read_text(errors='replace')[-3000:]}", file=sys.stderr)
+            print(cluster.tails(), file=sys.stderr)
             raise
         finally:
             cluster.end_all()

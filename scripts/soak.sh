@@ -1,9 +1,17 @@
 #!/usr/bin/env bash
-# Five minutes (SOAK_SECONDS) of hostile uploads against a daemon whose address space is limited to 2 GiB, beside frames that go on being
-# answered. Fails when the daemon is lost, when a frame is wrong, or when memory does not come back.
+# Two soaks, one after the other. Each says what it did and fails when something was wrong.
+#
+#   SOAK_SECONDS=300   hostile uploads against a daemon whose address space is limited to 2 GiB, beside frames that go on being answered
+#   SOAK=30m           a cluster under load and faults (scripts/soak.py): 90s, 30m, 8h
+#   SOAK_SEED=…        the order of events of an earlier soak; a random one by default
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 export SOAK_SECONDS="${SOAK_SECONDS:-300}"
-# shellcheck disable=SC2046 # no words, or two
-cargo test --release --locked $(scripts/features.sh) --test http -- --exact soak::hostile_uploads_never_lose_the_daemon --nocapture
+read -ra features <<<"$(scripts/features.sh)"
+cargo test --release --locked "${features[@]}" --test http -- --exact soak::hostile_uploads_never_lose_the_daemon --nocapture
+
+scripts/setup-nats.sh
+# A debug build: it checks for overflows, and loses its device when the soak tells it to.
+cargo build --locked "${features[@]}"
+scripts/soak.py --program target/debug/pointillist --time "${SOAK:-30m}" ${SOAK_SEED:+--seed "$SOAK_SEED"}

@@ -100,6 +100,13 @@ else
     tests "cargo test" cargo test --locked "${features[@]}" --no-fail-fast
 fi
 
+# Load and faults for a short while; `make soak` takes longer.
+if [ "${POINTILLIST_NATS_SERVER:-}" = required ]; then
+    check "soak" scripts/soak.py --program target/debug/pointillist --time 45s --seed "${SOAK_SEED:-1}"
+else
+    skip "soak" "no nats-server; nothing was killed under load"
+fi
+
 # Another Vulkan driver draws the same bytes: the manifest of one may be given, or lie where others are installed.
 second_driver() {
     if [ -n "${POINTILLIST_ICD:-}" ]; then

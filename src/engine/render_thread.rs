@@ -122,6 +122,14 @@ fn reopen(state: &EngineState, options: &GpuOptions) -> Option<Renderer> {
     }
 }
 
+/// Whether a test has made the file that `POINTILLIST_LOSE_DEVICE` names; the order is taken by removing the file. Release builds do not ask
+/// for the variable.
+fn is_loss_ordered() -> bool {
+    cfg!(debug_assertions)
+        && std::env::var_os("POINTILLIST_LOSE_DEVICE")
+            .is_some_and(|file| std::fs::remove_file(file).is_ok())
+}
+
 fn serve(state: &Arc<EngineState>, renderer: &mut Renderer, encoders: &Encoders) -> Stop {
     let mut flights: VecDeque<InFlight> = VecDeque::new();
     let mut last_landed = Instant::now();
@@ -129,7 +137,7 @@ fn serve(state: &Arc<EngineState>, renderer: &mut Renderer, encoders: &Encoders)
         assert!(!state.is_to_break(), "told to break");
         let work = state.next_batch(flying(&flights), IDLE);
         // The batch just taken is refused: a device may die between any two commands.
-        if state.take_lose_request() {
+        if state.take_lose_request() || is_loss_ordered() {
             renderer.gpu.device.destroy();
         }
         if !work.batch.is_empty() && state.take_spoil_request() {

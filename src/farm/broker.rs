@@ -28,6 +28,8 @@ const REQUEST: Duration = Duration::from_secs(5);
 const PULL_LIMIT: Duration = Duration::from_secs(8);
 /// Time for which the server recognises a message that is published again.
 const DUPLICATES: Duration = Duration::from_secs(120);
+/// Pause before a count of runs is repeated.
+const LOOK_AGAIN: Duration = Duration::from_millis(500);
 /// Age at which the server forgets a run that nobody draws.
 const MOST_AGE: Duration = Duration::from_secs(14 * 24 * 3600);
 /// Runs that workers of a kind may draw at a time.
@@ -164,6 +166,45 @@ impl Broker {
         let created = stream.get_or_create_consumer(kind, consumer).await;
         created.map_err(failed("create the consumer"))?;
         Ok(())
+    }
+
+    /// Creates the consumer of a kind anew if it passes over runs, and tells whether it did. A NATS server that was killed may have lost the number
+    /// of its stream's last message, but not the number up to which the consumer's messages are done. Numbers are then given again, and the
+    /// consumer would deliver no run until they have passed that number.
+    pub async fn mend(&self, kind: &str) -> Result<bool, BrokerError> {
+        for is_first in [true, false] {
+            if self.in_stream(kind).await? <= self.known_to_consumer(kind).await? {
+                return Ok(false);
+            }
+            if is_first {
+                // A run may have been finished between the two requests.
+                tokio::time::sleep(LOOK_AGAIN).await;
+            }
+        }
+        let stream = self.context.get_stream_no_info(STREAM).await;
+        let stream = stream.map_err(failed("find the stream"))?;
+        stream.delete_consumer(kind).await.map_err(failed("remove the consumer"))?;
+        self.prepare(kind).await?;
+        Ok(true)
+    }
+
+    /// Returns the number of runs of a kind in the stream.
+    async fn in_stream(&self, kind: &str) -> Result<u64, BrokerError> {
+        let stream = self.context.get_stream_no_info(STREAM).await;
+        let stream = stream.map_err(failed("find the stream"))?;
+        let subjects = stream.info_with_subjects(runs_of(kind)).await;
+        let mut subjects = subjects.map_err(failed("count runs"))?;
+        let mut runs = 0;
+        while let Some(subject) = subjects.next().await {
+            runs += subject.map_err(failed("count runs"))?.1 as u64;
+        }
+        Ok(runs)
+    }
+
+    /// Returns the number of runs that the consumer of a kind will deliver or has delivered.
+    async fn known_to_consumer(&self, kind: &str) -> Result<u64, BrokerError> {
+        let queued = self.queued(kind).await?;
+        Ok(queued.pending + queued.drawing)
     }
 
     /// Queues a run. `id` is unique to the message: the server drops a second one with the same id.

@@ -432,6 +432,15 @@ impl Collection<'_> {
                 lost,
                 "no worker has these runs; they are queued again"
             );
+            match self.shared.broker.mend(&self.shared.kind).await {
+                Ok(true) => {
+                    tracing::warn!("the NATS server passed over runs; its consumer is made anew")
+                }
+                Ok(false) => {}
+                Err(error) => {
+                    tracing::warn!(%error, "cannot see whether the NATS server passes over runs")
+                }
+            }
             // Workers drop runs of a film without an order.
             if let Err(error) = self.shared.store.put_order(&self.film, self.order.clone()).await {
                 self.failed(&error.into()).await;

@@ -114,6 +114,17 @@ impl Cluster {
         self.server = serve_nats(&self.program, self.port, self.folder.path());
     }
 
+    /// Kills the broker and takes its stream's messages away, but not what its consumers know, as a kill before they are written may do.
+    fn kill_and_forget_messages(&mut self) {
+        self.server.kill().unwrap();
+        self.server.wait().unwrap();
+        let streams = self.folder.path().join("nats/jetstream/$G/streams");
+        for stream in std::fs::read_dir(streams).unwrap() {
+            std::fs::remove_dir_all(stream.unwrap().path().join("msgs")).unwrap();
+        }
+        self.server = serve_nats(&self.program, self.port, self.folder.path());
+    }
+
     fn store(&self) -> PathBuf {
         self.folder.path().join("store")
     }
@@ -426,6 +437,24 @@ fn a_film_survives_kills_of_workers_daemon_and_broker() {
     let together = manifest(&daemon.client(), &id);
     assert_eq!(together, expected);
     check_frames(&daemon.client(), &id, &together);
+}
+
+#[test]
+fn a_broker_that_passes_over_runs_is_mended() {
+    let Some(mut cluster) = Cluster::start() else { return };
+    let daemon = cluster.daemon();
+    let client = daemon.client();
+    let _worker = cluster.worker(&[], &[]);
+    // Runs of this film give the consumer a number up to which all is done.
+    let first = create(&client, slow());
+    ended(&client, &first, "done");
+    cluster.kill_and_forget_messages();
+    let id = create(&client, json!({}));
+    ended(&client, &id, "done");
+    assert_eq!(manifest(&client, &id), alone(json!({})));
+    // Newer servers find the wrong number by themselves, and no run is lost.
+    let log = daemon.log();
+    assert!(log.contains("made anew") || !log.contains("no worker has these runs"), "{log}");
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Starts the daemon on a free port with a small scene, and stops it.
 
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Write};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -67,6 +67,28 @@ fn grid_folder() -> tempfile::TempDir {
     folder
 }
 
+/// A daemon with its own file system of 8 MiB for its state (see [`Daemon::start_on_small_disk`]), and the path of that file system from outside.
+/// `None`, with a line that says so, where the system does not allow such a mount.
+pub fn on_small_disk(prepare: impl FnOnce(&Path)) -> Option<(Daemon, PathBuf)> {
+    let can = Command::new("unshare")
+        .args(["--user", "--map-root-user", "--mount", "mount", "-t", "tmpfs", "tmpfs", "/mnt"])
+        .output();
+    if !can.is_ok_and(|output| output.status.success()) {
+        eprintln!("SKIPPED: no disk of its own can be mounted here (unshare --user --mount)");
+        return None;
+    }
+    let daemon = Daemon::start_on_small_disk(prepare, "8m");
+    let disk = PathBuf::from(format!("/proc/{}/root", daemon.id()))
+        .join(daemon.state().strip_prefix("/").unwrap());
+    Some((daemon, disk))
+}
+
+/// Takes all space that is left on a file's disk.
+pub fn fill_disk(filler: &Path) {
+    let mut file = std::fs::File::options().create(true).append(true).open(filler).unwrap();
+    while file.write_all(&[0; 4096]).is_ok() {}
+}
+
 impl Daemon {
     /// Starts a daemon with the scene `grid`.
     pub fn start(args: &[&str]) -> Daemon {
@@ -104,13 +126,19 @@ impl Daemon {
         Daemon::spawn(folder, &args, &[("POINTILLIST_LOG", "warn,pointillist=debug")])
     }
 
-    /// Starts a daemon whose state folder is its own file system of this size, which disappears with the daemon.
+    /// Starts a daemon whose state folder is its own file system of this size, which disappears with the daemon. Uploads lie there, too, where
+    /// `prepare` makes a folder for them.
     pub fn start_on_small_disk(prepare: impl FnOnce(&Path), size: &str) -> Daemon {
         let folder = grid_folder();
         prepare(&folder.path().join("root"));
         std::fs::create_dir(folder.path().join("state")).unwrap();
         let script = format!(
-            "mount -t tmpfs -o size={size} tmpfs \"$POINTILLIST_STATE\" && exec \"$0\" \"$@\""
+            "uploads=\"${{POINTILLIST_STATE%/*}}/root/uploads\"
+            mount -t tmpfs -o size={size} tmpfs \"$POINTILLIST_STATE\" || exit
+            if [ -d \"$uploads\" ]; then
+                mkdir \"$POINTILLIST_STATE/uploads\" && mount --bind \"$POINTILLIST_STATE/uploads\" \"$uploads\" || exit
+            fi
+            exec \"$0\" \"$@\""
         );
         let mut command = Command::new("unshare");
         command.args(["--user", "--map-root-user", "--mount", "sh", "-c", &script]);

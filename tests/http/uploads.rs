@@ -2,11 +2,12 @@
 
 use std::io::Write;
 use std::net::Shutdown;
+use std::path::Path;
 
 use serde_json::json;
 
 use super::client::{Client, form, raw};
-use super::daemon::{Daemon, eventually, grid_ply, grid_scene, wall_ply};
+use super::daemon::{Daemon, eventually, fill_disk, grid_ply, grid_scene, on_small_disk, wall_ply};
 
 #[test]
 fn an_asset_becomes_a_scene_until_it_is_deleted() {
@@ -255,4 +256,25 @@ fn a_slow_load_is_answered_before_it_ends() {
     assert_eq!(client.send("DELETE", "/v1/scenes/bad", &[], None).status, 204);
     assert_eq!(client.get("/v1/scenes/bad").status, 404);
     assert_eq!(daemon.uploads(), ["slow"]);
+}
+
+#[test]
+fn an_upload_that_a_full_disk_cuts_is_refused() {
+    let with_uploads = |root: &Path| std::fs::create_dir(root.join("uploads")).unwrap();
+    let Some((daemon, disk)) = on_small_disk(with_uploads) else { return };
+    let client = daemon.client();
+    // A page of the disk holds whole lines, so that a file that is cut would be a scene of its own.
+    let points = b"1 0 000\n".repeat(1024);
+    let upload = || client.send("POST", "/v1/scenes?id=cut&name=cut.xyz", &[], Some(&points));
+    let filler = disk.join("filler");
+    fill_disk(&filler);
+    let file = std::fs::File::options().write(true).open(&filler).unwrap();
+    file.set_len(file.metadata().unwrap().len() - 4096).unwrap();
+    let refused = upload();
+    assert_eq!(refused.status, 507, "{}", refused.text());
+    assert_eq!(refused.problem()["type"], "urn:pointillist:problem:storage");
+    assert_eq!(client.get("/v1/scenes/cut").status, 404);
+    std::fs::remove_file(&filler).unwrap();
+    let made = upload();
+    assert_eq!((made.status, &made.json()["samples"]), (201, &json!(1024)), "{}", made.text());
 }

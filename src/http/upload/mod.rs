@@ -407,6 +407,8 @@ async fn write_file<E: std::fmt::Display>(
         budget.take(chunk.len())?;
         file.write_all(&chunk).await.map_err(|error| storage(&error))?;
     }
+    // `sync_all` of tokio says nothing of the last write, which may have found a full disk.
+    file.flush().await.map_err(|error| storage(&error))?;
     // Acknowledged files must outlast a power cut.
     file.sync_all().await.map_err(|error| storage(&error))
 }

@@ -9,7 +9,8 @@
 //! ```
 //!
 //! The record lies beside the files, under a name that no upload may have. It is on disk before a loader begins, so that an
-//! upload that crashes the process does so only once.
+//! upload that crashes the process does so only once. The record of a loaded upload is written before the loader begins, too: when the upload is
+//! loaded, a file is only renamed, which needs no space on a disk that has become full.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -26,6 +27,8 @@ use crate::http::problem::{Kind, Problem};
 pub const FOLDER: &str = "uploads";
 /// The name begins with a dot, which no uploaded file's name does.
 const RECORD: &str = ".upload.json";
+/// The record that an upload will have once it is loaded.
+const AS_LOADED: &str = ".upload.json.loaded";
 const PARTIAL: &str = ".partial-";
 
 /// Record of an upload.
@@ -97,12 +100,21 @@ impl Record {
     /// # Errors
     /// Errors of the disk.
     pub fn write(&self, folder: &Path) -> io::Result<()> {
+        self.write_as(folder, RECORD)
+    }
+
+    fn write_as(&self, folder: &Path, name: &str) -> io::Result<()> {
         let fresh = folder.join(".upload.json.new");
         let mut file = File::create(&fresh)?;
         file.write_all(&serde_json::to_vec(self)?)?;
         file.sync_all()?;
-        fs::rename(fresh, folder.join(RECORD))?;
+        fs::rename(fresh, folder.join(name))?;
         sync_folder(folder)
+    }
+
+    /// Returns the record of the upload after a load.
+    fn as_loaded(&self) -> Record {
+        Record { stage: Stage::Loaded, was_loaded: true, deaths: 0, ..self.clone() }
     }
 }
 
@@ -142,18 +154,30 @@ pub fn partial(root: &Path, number: u64) -> PathBuf {
     root.join(FOLDER).join(format!("{PARTIAL}{}-{number}", std::process::id()))
 }
 
-/// Records that a loader begins.
+/// Records that a loader begins. An upload that was loaded before is loaded again even if the disk is full.
 pub fn begin(root: &Path, id: &str) -> io::Result<()> {
-    change(root, id, |record| record.stage = Stage::Loading)
+    let Some((folder, mut record)) = recorded(root, id)? else { return Ok(()) };
+    let as_loaded = record.as_loaded();
+    record.stage = Stage::Loading;
+    match as_loaded.write_as(&folder, AS_LOADED).and_then(|()| record.write(&folder)) {
+        Err(error) if record.was_loaded => {
+            tracing::warn!(id, %error, "cannot write an upload's record; it is loaded all the same");
+            Ok(())
+        }
+        written => written,
+    }
 }
 
 /// Records that an upload has been loaded.
 pub fn finish(root: &Path, id: &str) -> io::Result<()> {
-    change(root, id, |record| {
-        record.stage = Stage::Loaded;
-        record.was_loaded = true;
-        record.deaths = 0;
-    })
+    let Some((folder, record)) = recorded(root, id)? else { return Ok(()) };
+    match fs::rename(folder.join(AS_LOADED), folder.join(RECORD)) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        Ok(()) => sync_folder(&folder),
+        // The disk was full when the loader began.
+        Err(_) if record == record.as_loaded() => Ok(()),
+        Err(_) => record.as_loaded().write(&folder),
+    }
 }
 
 /// Records that a loader ended without a scene while the process lives on.
@@ -168,16 +192,21 @@ pub fn set_aside(root: &Path, id: &str) -> io::Result<()> {
 
 /// Changes the record of an upload. A scene without a record was not uploaded.
 fn change(root: &Path, id: &str, edit: impl FnOnce(&mut Record)) -> io::Result<()> {
-    if !holds(root, id) {
-        return Ok(());
-    }
-    let folder = folder_of(root, id);
-    let mut record = match Record::read(&folder) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
-        record => record?,
-    };
+    let Some((folder, mut record)) = recorded(root, id)? else { return Ok(()) };
     edit(&mut record);
     record.write(&folder)
+}
+
+/// Returns the folder and the record of an upload; `None` for a scene that was not uploaded.
+fn recorded(root: &Path, id: &str) -> io::Result<Option<(PathBuf, Record)>> {
+    if !holds(root, id) {
+        return Ok(None);
+    }
+    let folder = folder_of(root, id);
+    match Record::read(&folder) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        record => Ok(Some((folder, record?))),
+    }
 }
 
 /// Lists uploads of earlier runs by id, and removes unfinished ones.
@@ -297,6 +326,34 @@ mod tests {
         begin(root, "new").unwrap();
         set_aside(root, "new").unwrap();
         assert!(earlier(root)[2].refusal.is_none());
+    }
+
+    #[test]
+    fn a_disk_that_becomes_full_loses_no_upload() {
+        let root = tempfile::tempdir().unwrap();
+        let root = root.path();
+        let folder = upload(root, "new", &record(Stage::Received, false, 0));
+        begin(root, "new").unwrap();
+        assert_eq!(Record::read(&folder).unwrap(), record(Stage::Loading, false, 0));
+        // A folder of that name keeps new records from being written, as a full disk does.
+        let full = folder.join(".upload.json.new");
+        fs::create_dir(&full).unwrap();
+        finish(root, "new").unwrap();
+        assert_eq!(Record::read(&folder).unwrap(), record(Stage::Loaded, true, 0));
+        // After a restart the disk is still full.
+        assert!(earlier(root)[0].refusal.is_none());
+        begin(root, "new").unwrap();
+        finish(root, "new").unwrap();
+        assert_eq!(Record::read(&folder).unwrap(), record(Stage::Loaded, true, 0));
+        // A load that ended with the process is counted once there is space.
+        fs::remove_dir(&full).unwrap();
+        begin(root, "new").unwrap();
+        assert_eq!(Record::read(&folder).unwrap(), record(Stage::Loading, true, 0));
+        // What was never loaded is refused by a full disk, because a crash could not be recorded.
+        let never = upload(root, "never", &record(Stage::Received, false, 0));
+        fs::create_dir(never.join(".upload.json.new")).unwrap();
+        assert!(begin(root, "never").is_err());
+        assert_eq!(Record::read(&never).unwrap(), record(Stage::Received, false, 0));
     }
 
     #[test]

@@ -1,12 +1,11 @@
 //! Files that were damaged from outside, and a full disk.
 
 use std::fs;
-use std::path::PathBuf;
 
 use serde_json::json;
 
 use super::{body, checksum, create, ended, files, job, manifest, parts_and_problem, post, studio};
-use crate::daemon::{Daemon, eventually};
+use crate::daemon::{eventually, fill_disk, on_small_disk};
 
 #[test]
 fn damaged_frames_are_not_sent_and_made_again() {
@@ -84,39 +83,16 @@ fn damaged_videos_are_not_sent_and_made_again() {
     }
 }
 
-/// A daemon with its own file system of a few MiB for its state, and the path of that file system from outside. `None` where the
-/// system does not allow such a mount.
-fn on_small_disk() -> Option<(Daemon, PathBuf)> {
-    let can = std::process::Command::new("unshare")
-        .args(["--user", "--map-root-user", "--mount", "mount", "-t", "tmpfs", "tmpfs", "/mnt"])
-        .output();
-    if !can.is_ok_and(|output| output.status.success()) {
-        return None;
-    }
-    let daemon = Daemon::start_on_small_disk(super::name_path, "8m");
-    let disk = PathBuf::from(format!("/proc/{}/root", daemon.id()))
-        .join(daemon.state().strip_prefix("/").unwrap());
-    Some((daemon, disk))
-}
-
 #[test]
 fn a_full_disk_is_told_and_gone_with_its_cause() {
-    let Some((daemon, disk)) = on_small_disk() else {
-        eprintln!("SKIPPED: no disk of its own can be mounted here (unshare --user --mount)");
-        return;
-    };
+    let Some((daemon, disk)) = on_small_disk(super::name_path) else { return };
     let client = daemon.client();
     let small = || json!({"to": 3});
     let first = create(&client, small());
     ended(&client, &first, "done");
     // Another process fills the disk.
     let filler = disk.join("filler");
-    let fill = || {
-        use std::io::Write;
-        let mut file = fs::File::options().create(true).append(true).open(&filler).unwrap();
-        while file.write_all(&[0; 4096]).is_ok() {}
-    };
-    fill();
+    fill_disk(&filler);
     for _ in 0..2 {
         let refused = client.post_json("/v1/jobs", &body(small()));
         let problem = refused.problem();
