@@ -78,7 +78,9 @@ if [ "${1:-}" = --one ]; then
     exit
 fi
 
-RUSTC_WRAPPER=$PWD/tests/fuzz/rustc.sh cargo build --quiet --locked --manifest-path tests/fuzz/Cargo.toml --target-dir target/fuzz
+# The fuzzer's dependencies are those of the program, and libFuzzer.
+cp Cargo.lock tests/fuzz/Cargo.lock
+RUSTC_WRAPPER=$PWD/tests/fuzz/rustc.sh cargo build --quiet --manifest-path tests/fuzz/Cargo.toml --target-dir target/fuzz
 mkdir -p target/fuzz/{crashes,found,logs}
 # Readers of files read each input from a file: in memory, where that is possible.
 TMPDIR=$(mktemp -d "$([ -w /dev/shm ] && echo /dev/shm || echo "${TMPDIR:-/tmp}")/fuzz-XXXXXX")

@@ -6,8 +6,8 @@ use std::fmt::Debug;
 pub fn assert_finite(value: &impl Debug) {
     let text = format!("{value:?}");
     if let Some(at) = not_finite(&text) {
-        let from = text.floor_char_boundary(at.saturating_sub(200));
-        panic!("a number is not finite: …{}", &text[from..text.len().min(at + 3)]);
+        let bytes = &text.as_bytes()[at.saturating_sub(200)..text.len().min(at + 3)];
+        panic!("a number is not finite: …{}", String::from_utf8_lossy(bytes));
     }
 }
 

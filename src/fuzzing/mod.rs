@@ -30,8 +30,10 @@ pub(crate) fn text(data: &[u8]) -> Option<&str> {
 pub struct Target {
     /// Name on the command line, and of the folder in the corpus.
     pub name: &'static str,
-    run: Box<dyn Fn(&[u8]) + Send + Sync>,
+    run: Box<Read>,
 }
+
+type Read = dyn Fn(&[u8]) + Send + Sync;
 
 impl Target {
     fn new(name: &'static str, run: impl Fn(&[u8]) + Send + Sync + 'static) -> Target {
