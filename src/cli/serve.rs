@@ -27,7 +27,7 @@ use crate::engine::{Engine, EngineConfig, PrimeConfig};
 use crate::http::access::{Access, keys};
 use crate::http::rules::Reread;
 use crate::http::server::{serve, serve_monitoring};
-use crate::http::{App, Settings, Uploads, push_metrics};
+use crate::http::{App, Settings, Uploads, push_last_metrics, push_metrics};
 use crate::memory::{self, HostMemory};
 use crate::scene::Up;
 use crate::spelling::nearest;
@@ -297,7 +297,14 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     }
     let ready = |engine: &Engine, address| tell(&example(engine, address, is_tls, has_keys));
     let listening = |address| tell(&greeting(address, is_tls));
-    let result = runtime.block_on(serve(app, listener, start, listening, ready));
+    let result = runtime.block_on(serve(app.clone(), listener, start, listening, ready));
+    if let Some(telemetry) = &telemetry {
+        let last = push_last_metrics(&app, telemetry);
+        let last = runtime.block_on(async { tokio::time::timeout(LOG_PATIENCE, last).await });
+        if !matches!(last, Ok(Ok(()))) {
+            tracing::error!("the OpenTelemetry collector did not take the last metrics");
+        }
+    }
     // Do not wait for a scene that is still being read.
     runtime.shutdown_timeout(Duration::from_millis(100));
     for log in logs.iter().flatten() {
@@ -306,7 +313,7 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
         }
     }
     if let Some(Err(error)) = telemetry.map(|telemetry| telemetry.close(LOG_PATIENCE)) {
-        tracing::error!(error, "the last spans are not sent");
+        tracing::error!(error, "the OpenTelemetry collector did not take the last spans");
     }
     drop(claim);
     result

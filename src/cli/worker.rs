@@ -70,7 +70,10 @@ impl SceneFolder {
     fn new(parent: &Path) -> std::io::Result<SceneFolder> {
         for entry in std::fs::read_dir(parent)?.flatten() {
             if entry.file_name().to_string_lossy().starts_with(FOLDER_PREFIX)
-                && let Ok(lock) = File::open(entry.path().join(LOCK))
+                // Opening a pipe would wait.
+                && let path = entry.path().join(LOCK)
+                && path.symlink_metadata().is_ok_and(|found| found.is_file())
+                && let Ok(lock) = File::open(path)
                 && lock.try_lock().is_ok()
                 // Another user's folder cannot be removed.
                 && std::fs::remove_dir_all(entry.path()).is_ok()

@@ -28,6 +28,8 @@ const REQUEST: Duration = Duration::from_secs(5);
 const PULL_LIMIT: Duration = Duration::from_secs(8);
 /// Time for which the server recognises a message that is published again.
 const DUPLICATES: Duration = Duration::from_secs(120);
+/// Number of times that stream and consumer must disagree before the consumer is recreated.
+const LOOKS: usize = 5;
 /// Pause before a count of runs is repeated.
 const LOOK_AGAIN: Duration = Duration::from_millis(500);
 /// Age at which the server forgets a run that nobody draws.
@@ -168,18 +170,18 @@ impl Broker {
         Ok(())
     }
 
-    /// Creates the consumer of a kind anew if it passes over runs, and tells whether it did. A NATS server that was killed may have lost the number
-    /// of its stream's last message, but not the number up to which the consumer's messages are done. Numbers are then given again, and the
-    /// consumer would deliver no run until they have passed that number.
+    /// Recreates the consumer of a kind if it skips runs, and returns whether it did. After a kill, the NATS server may have lost the stream's last
+    /// sequence number but kept the one that the consumer has acknowledged. It then reuses sequence numbers, and the consumer skips messages until
+    /// they exceed the acknowledged one.
     pub async fn mend(&self, kind: &str) -> Result<bool, BrokerError> {
-        for is_first in [true, false] {
+        // An earlier mending may have ended after the consumer was removed.
+        self.prepare(kind).await?;
+        for _ in 0..LOOKS {
             if self.in_stream(kind).await? <= self.known_to_consumer(kind).await? {
                 return Ok(false);
             }
-            if is_first {
-                // A run may have been finished between the two requests.
-                tokio::time::sleep(LOOK_AGAIN).await;
-            }
+            // Runs may have been queued or finished between the two requests.
+            tokio::time::sleep(LOOK_AGAIN).await;
         }
         let stream = self.context.get_stream_no_info(STREAM).await;
         let stream = stream.map_err(failed("find the stream"))?;

@@ -434,11 +434,13 @@ impl Collection<'_> {
             );
             match self.shared.broker.mend(&self.shared.kind).await {
                 Ok(true) => {
-                    tracing::warn!("the NATS server passed over runs; its consumer is made anew")
+                    tracing::warn!(
+                        "the NATS server skipped queued runs; the daemon recreated the consumer"
+                    )
                 }
                 Ok(false) => {}
                 Err(error) => {
-                    tracing::warn!(%error, "cannot see whether the NATS server passes over runs")
+                    tracing::warn!(%error, "cannot check whether the NATS server skips runs")
                 }
             }
             // Workers drop runs of a film without an order.

@@ -91,7 +91,7 @@ pub fn judge(begun: u64, frames: usize) -> Verdict {
 }
 
 /// Returns whether frames of a run that was begun `begun` times before may be in the store, so that a worker asks for each before it
-/// draws. A fresh run of several frames has none; runs of one frame may come from a run that was split.
+/// draws. A fresh run of several frames seldom has any: the daemon has looked before. Runs of one frame may come from a run that was split.
 pub fn may_be_stored(begun: u64, frames: usize) -> bool {
     begun > 0 || frames <= 1
 }

@@ -242,31 +242,38 @@ impl Store {
     /// # Errors
     /// The store fails, or a film's order cannot be read; then nothing is removed.
     pub async fn clean(&self, now: SystemTime) -> Result<usize, StoreError> {
-        let list = |folder: &'static str| self.objects.list(Some(&Path::from(folder)));
-        let assets: Vec<_> = self.tried(|| list("assets").try_collect()).await?;
+        let assets = Path::from("assets");
+        let assets: Vec<_> = self.tried(|| self.objects.list(Some(&assets)).try_collect()).await?;
         let is_old = |at: SystemTime| now.duration_since(at).is_ok_and(|age| age >= KEPT);
         let old = assets.into_iter().filter(|asset| is_old(asset.last_modified.into()));
         let mut old: Vec<Path> = old.map(|asset| asset.location).collect();
         if old.is_empty() {
             return Ok(0);
         }
-        // A film that begins now has stored its files anew.
-        let films: Vec<_> = self.tried(|| list("films").try_collect()).await?;
+        let films = Path::from("films");
+        let films = self.tried(|| self.objects.list_with_delimiter(Some(&films))).await?;
         let mut needed = HashSet::new();
-        for order in films.iter().filter(|found| found.location.filename() == Some("order.json")) {
+        for film in films.common_prefixes {
+            let name = film.join("order.json");
             // The film may have ended.
-            let Some(text) = self.get(&order.location).await? else { continue };
+            let Some(text) = self.get(&name).await? else { continue };
             let order: Needs = serde_json::from_slice(&text).map_err(|error| {
-                let source = format!("{}: {error}", order.location).into();
+                let source = format!("{name}: {error}").into();
                 self.failed(object_store::Error::Generic { store: "order", source })
             })?;
             needed.extend(order.scene.files.iter().map(|file| asset_path(&file.sha256)));
         }
         old.retain(|asset| !needed.contains(asset));
+        let mut removed = 0;
         for asset in &old {
-            absent(self.tried(|| self.objects.delete(asset)).await)?;
+            // A film that has begun meanwhile has stored its files again.
+            let found = absent(self.tried(|| self.objects.head(asset)).await)?;
+            if found.is_some_and(|found| is_old(found.last_modified.into())) {
+                absent(self.tried(|| self.objects.delete(asset)).await)?;
+                removed += 1;
+            }
         }
-        Ok(old.len())
+        Ok(removed)
     }
 
     /// Stores a scene's file under its hash, unless it is there and was stored lately.

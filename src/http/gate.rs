@@ -17,6 +17,7 @@ use super::access::signed::{self, Caps};
 use super::access::{Admitted, Refused};
 use super::journal::{Asked, Journal, Line, Spent};
 use super::problem::Problem;
+use super::rules::Rules;
 use super::telemetry::{Parent, Telemetry};
 use super::{
     App, Caller, Owner, ROUTES, TIMING_ALLOW_ORIGIN, UNMATCHED, access, address, body, journal,
@@ -54,7 +55,7 @@ pub async fn gate(State(app): State<Arc<App>>, mut request: Request, next: Next)
     };
     let pending = Pending { app: &app, asked, outlets, is_answered: false };
     let span = tracing::debug_span!("request", request_id = %id, %method, route);
-    let answer = answer(&app, &pending.asked, request, next).instrument(span);
+    let answer = answer(&app, &rules, &pending.asked, request, next).instrument(span);
     let mut response = naming::within(id.clone(), answer).await;
     let headers = response.headers_mut();
     headers.extend(naming::header(&id).map(|value| (naming::REQUEST_ID, value)));
@@ -71,7 +72,7 @@ struct Pending<'a> {
     is_answered: bool,
 }
 
-/// Where it is told how each request ended.
+/// Receivers of the line of each request that has ended.
 #[derive(Clone)]
 struct Outlets {
     access_log: Option<Arc<Journal>>,
@@ -81,6 +82,13 @@ struct Outlets {
 impl Outlets {
     fn is_empty(&self) -> bool {
         self.access_log.is_none() && self.telemetry.is_none()
+    }
+
+    /// Strangers do not choose traces.
+    fn forget_parent(&mut self) {
+        if let Some((_, parent)) = &mut self.telemetry {
+            *parent = Parent::default();
+        }
     }
 
     fn tell(&self, line: &Line, at: Instant) {
@@ -128,6 +136,9 @@ impl Pending<'_> {
         if self.outlets.is_empty() {
             return response;
         }
+        if !self.asked.is_let_in.load(Ordering::Relaxed) {
+            self.outlets.forget_parent();
+        }
         let line = line.spent(response.extensions_mut().remove::<Spent>());
         let (outlets, at) = (self.outlets.clone(), self.asked.at);
         response.map(|body| journal::logged(body, line, at, move |line| outlets.tell(line, at)))
@@ -153,7 +164,7 @@ impl Drop for Pending<'_> {
 struct WrongKey;
 
 /// Checks access and answers the request.
-async fn answer(app: &App, asked: &Asked, request: Request, next: Next) -> Response {
+async fn answer(app: &App, rules: &Rules, asked: &Asked, request: Request, next: Next) -> Response {
     // A client that waits for `100 Continue` sends no body after a refusal, so there is nothing to read.
     let expects = request.headers().contains_key(header::EXPECT);
     let (mut request, rest) = if request.body().is_end_stream() || expects {
@@ -163,7 +174,7 @@ async fn answer(app: &App, asked: &Asked, request: Request, next: Next) -> Respo
         let (body, rest) = body::share(whole);
         (Request::from_parts(parts, body), Some(rest))
     };
-    let response = match admit(app, asked, &request) {
+    let response = match admit(app, rules, asked, &request) {
         Ok((caller, owner)) => {
             asked.is_let_in.store(true, Ordering::Relaxed);
             // Only signed addresses have an end.
@@ -204,9 +215,13 @@ impl From<Problem> for Denied {
 }
 
 /// Checks a request against the access rules and the rates. Returns its client and its key.
-fn admit(app: &App, asked: &Asked, request: &Request) -> Result<(Caller, Owner), Denied> {
+fn admit(
+    app: &App,
+    rules: &Rules,
+    asked: &Asked,
+    request: &Request,
+) -> Result<(Caller, Owner), Denied> {
     let (route, headers, now) = (asked.route, request.headers(), asked.at);
-    let rules = app.rules();
     // Probes must not fail because others ask too often.
     let is_probe = matches!(route, "/healthz" | "/readyz");
     if let (Some(from), false) = (asked.address, is_probe) {

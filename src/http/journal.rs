@@ -365,7 +365,7 @@ struct Logged<F: FnMut(&Line)> {
     at: Instant,
 }
 
-/// Wraps a body, so that its request's line is told when the answer has been sent or given up.
+/// Wraps a body. Passes the request's line to `tell` when the answer has been sent or given up.
 pub fn logged(
     body: Body,
     line: Line,

@@ -88,7 +88,7 @@ pub use names::slug;
 pub use openapi::{openapi_json, openapi_yaml};
 pub use params::{DEFAULT_FOV_DEG, DEFAULT_QUALITY, DEFAULT_SIDE};
 pub use problem::Problem;
-pub use service::push_metrics;
+pub use service::{push_last_metrics, push_metrics};
 pub use stream::StreamLimits;
 pub use upload::follow::Uploads;
 pub use upload::quota::UploadLimits;

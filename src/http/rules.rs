@@ -18,7 +18,7 @@ pub struct Rules {
     pub bounds: Bounds,
 }
 
-/// Limits that a reload may change. What is over a new limit stays; nothing is added until there is room.
+/// Limits that a reload may change. Open streams, connections and stored uploads beyond a new limit stay.
 #[derive(Clone, Debug)]
 pub struct Bounds {
     /// Proxies whose `X-Forwarded-For` is believed.

@@ -78,6 +78,12 @@ pub async fn metrics(State(app): State<Arc<App>>) -> Result<Response, Problem> {
     Ok(([(header::CONTENT_TYPE, content_type)], text).into_response())
 }
 
+/// Sends metrics to a collector once more, at the end.
+pub async fn push_last_metrics(app: &App, telemetry: &Telemetry) -> Result<(), String> {
+    let text = app.metrics.exposition().map_err(|error| error.to_string())?;
+    telemetry.push(&text).await
+}
+
 /// Sends metrics to a collector again and again, for as long as the process lives.
 pub async fn push_metrics(app: Arc<App>, telemetry: Arc<Telemetry>) {
     let mut interval = tokio::time::interval(telemetry.interval());
@@ -90,7 +96,10 @@ pub async fn push_metrics(app: Arc<App>, telemetry: Arc<Telemetry>) {
         match pushed {
             // Once, not each minute.
             Err(error) if !is_failing => {
-                tracing::warn!(error, "the OpenTelemetry collector takes no metrics");
+                tracing::warn!(
+                    error,
+                    "cannot send metrics to the OpenTelemetry collector; further tries follow"
+                );
                 is_failing = true;
             }
             Err(_) => {}

@@ -11,6 +11,7 @@
 //! The SDK collects spans and sends them in batches from a thread of its own. While the collector is away or slow, spans are dropped:
 //! no request waits. The `OTEL_…` variables for headers, resource attributes, sampling and intervals apply.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, SystemTime};
 
 use axum::http::HeaderMap;
@@ -19,8 +20,9 @@ use opentelemetry::trace::{Span, SpanKind, Status, TraceContextExt, Tracer, Trac
 use opentelemetry::{Context, KeyValue};
 use opentelemetry_otlp::{Protocol, SpanExporter, WithExportConfig, WithHttpConfig};
 use opentelemetry_sdk::Resource;
+use opentelemetry_sdk::error::OTelSdkResult;
 use opentelemetry_sdk::propagation::TraceContextPropagator;
-use opentelemetry_sdk::trace::{SdkTracer, SdkTracerProvider};
+use opentelemetry_sdk::trace::{self, SdkTracer, SdkTracerProvider, SpanData, SpanExporter as _};
 
 use self::push::Pusher;
 use super::journal::{Line, Spent};
@@ -29,6 +31,8 @@ mod push;
 
 /// Time limit of a request to the collector.
 const LIMIT: Duration = Duration::from_secs(10);
+/// Methods that have a name in spans.
+const METHODS: [&str; 7] = ["GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"];
 /// Attribute of the service's name, and how the SDK begins it where none is given.
 const SERVICE_NAME: &str = "service.name";
 const UNKNOWN: &str = "unknown_service";
@@ -42,7 +46,7 @@ pub struct Telemetry {
 }
 
 /// The span of another service that a request belongs to.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Parent(Context);
 
 /// Headers, as the propagator reads them.
@@ -59,12 +63,43 @@ impl Extractor for Headers<'_> {
 }
 
 impl Parent {
-    /// Reads `traceparent` and `tracestate`. Unusable ones are as good as none.
+    /// Reads `traceparent` and `tracestate`, and ignores invalid ones.
     pub fn of(headers: &HeaderMap) -> Parent {
         // Not the caller's current context, which has nothing to do with the client.
         Parent(
             TraceContextPropagator::new().extract_with_context(&Context::new(), &Headers(headers)),
         )
+    }
+}
+
+/// An exporter that tells when spans begin to be lost.
+#[derive(Debug)]
+struct Watched {
+    exporter: SpanExporter,
+    is_failing: AtomicBool,
+}
+
+impl trace::SpanExporter for Watched {
+    async fn export(&self, batch: Vec<SpanData>) -> OTelSdkResult {
+        let spans = batch.len();
+        let exported = self.exporter.export(batch).await;
+        let was_failing = self.is_failing.swap(exported.is_err(), Ordering::Relaxed);
+        if let (Err(error), false) = (&exported, was_failing) {
+            tracing::warn!(%error, spans, "cannot send spans to the OpenTelemetry collector; they are lost");
+        }
+        exported
+    }
+
+    fn shutdown_with_timeout(&self, timeout: Duration) -> OTelSdkResult {
+        self.exporter.shutdown_with_timeout(timeout)
+    }
+
+    fn force_flush(&self) -> OTelSdkResult {
+        self.exporter.force_flush()
+    }
+
+    fn set_resource(&mut self, resource: &Resource) {
+        self.exporter.set_resource(resource);
     }
 }
 
@@ -94,7 +129,7 @@ impl Telemetry {
         let pusher = Pusher::new(base, &resource)?;
         let provider = SdkTracerProvider::builder()
             .with_resource(resource)
-            .with_batch_exporter(exporter)
+            .with_batch_exporter(Watched { exporter, is_failing: AtomicBool::new(false) })
             .build();
         let tracer = provider.tracer("pointillist");
         Ok(Telemetry { provider, tracer, pusher })
@@ -128,11 +163,17 @@ impl Telemetry {
             return;
         }
         let end = SystemTime::now();
+        // A client may send any word as method, and any path.
+        let is_known = METHODS.contains(&&line.method[..]);
+        let method = if is_known { &line.method[..] } else { "_OTHER" };
+        let route = Some(line.route).filter(|route| route.starts_with('/'));
+        let named = if is_known { method } else { "HTTP" };
+        let name = route.map_or_else(|| named.to_owned(), |route| format!("{named} {route}"));
         let mut attributes = vec![
-            KeyValue::new("http.request.method", line.method.clone()),
-            KeyValue::new("http.route", line.route),
+            KeyValue::new("http.request.method", method.to_owned()),
             KeyValue::new("pointillist.request_id", line.request_id.clone()),
         ];
+        attributes.extend(route.map(|route| KeyValue::new("http.route", route)));
         let optional = [
             ("client.address", line.address.map(|address| address.to_string())),
             ("pointillist.key", line.key.clone()),
@@ -148,7 +189,7 @@ impl Telemetry {
         attributes.extend(bytes.map(|bytes| KeyValue::new("http.response.body.size", bytes)));
         let mut span = self
             .tracer
-            .span_builder(format!("{} {}", line.method, line.route))
+            .span_builder(name)
             .with_kind(SpanKind::Server)
             .with_start_time(end.checked_sub(total).unwrap_or(end))
             .with_attributes(attributes)

@@ -440,7 +440,7 @@ fn a_film_survives_kills_of_workers_daemon_and_broker() {
 }
 
 #[test]
-fn a_broker_that_passes_over_runs_is_mended() {
+fn a_broker_that_skips_runs_is_mended() {
     let Some(mut cluster) = Cluster::start() else { return };
     let daemon = cluster.daemon();
     let client = daemon.client();
@@ -454,7 +454,7 @@ fn a_broker_that_passes_over_runs_is_mended() {
     assert_eq!(manifest(&client, &id), alone(json!({})));
     // Newer servers find the wrong number by themselves, and no run is lost.
     let log = daemon.log();
-    assert!(log.contains("made anew") || !log.contains("no worker has these runs"), "{log}");
+    assert!(log.contains("recreated") || !log.contains("no worker has these runs"), "{log}");
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 use std::net::{SocketAddr, TcpListener};
 use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
 use axum::body::Bytes;
 use axum::extract::State;
@@ -164,15 +165,28 @@ fn a_collector_gets_the_stages_of_a_frame_and_the_metrics() {
 }
 
 #[test]
-fn a_collector_that_is_away_holds_nothing_up() {
-    // Nobody listens there.
-    let closed = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-    let daemon = Daemon::start(&["--otlp", &format!("http://{closed}")]);
+fn a_collector_that_never_answers_holds_nothing_up() {
+    // Connections to it are made, and nobody answers.
+    let silent = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("http://{}", silent.local_addr().unwrap());
+    let environment = [
+        ("OTEL_BSP_SCHEDULE_DELAY", "20"),
+        ("OTEL_BSP_MAX_QUEUE_SIZE", "8"),
+        ("OTEL_BSP_MAX_EXPORT_BATCH_SIZE", "4"),
+        ("OTEL_METRIC_EXPORT_INTERVAL", "50"),
+    ];
+    let mut daemon = Daemon::start_within(&environment, |_| {}, &["--otlp", &url]);
     let client = daemon.client();
-    for _ in 0..20 {
-        assert_eq!(client.get("/v1/scenes/grid/frame?w=8&h=8").status, 200);
+    // Many more spans than the queue holds. A time limit of the collector's connections is ten seconds each.
+    let began = Instant::now();
+    for _ in 0..300 {
+        assert_eq!(client.get("/v1/limits").status, 200);
     }
-    eventually("one complaint", || {
-        daemon.log().matches("the OpenTelemetry collector takes no metrics").count() == 1
+    let elapsed = began.elapsed();
+    assert!(elapsed < Duration::from_secs(60), "300 requests took {elapsed:?}");
+    let complaints = |what: &str| daemon.log().matches(what).count();
+    eventually("a complaint about each", || {
+        complaints("cannot send metrics") == 1 && complaints("cannot send spans") == 1
     });
+    assert!(!daemon.is_lost());
 }

@@ -7,7 +7,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, ensure};
-use parking_lot::Mutex;
 
 use super::{ServeArgs, access, number, with_file};
 use crate::http::journal::Journal;
@@ -16,8 +15,7 @@ use crate::http::telemetry::Telemetry;
 use crate::http::{Edge, StreamLimits, UploadLimits, WatchLimits, address, tls};
 
 /// Settings that a reload puts in force, by their flags. Changes of others need a restart.
-const RELOADED: [&str; 15] = [
-    "api-keys",
+pub(super) const RELOADED: [&str; 14] = [
     "max-connections-per-address",
     "max-streams",
     "max-streams-per-client",
@@ -131,14 +129,14 @@ pub(super) fn reread(given: &ServeArgs, args: &ServeArgs, address: SocketAddr) -
         }),
         bounds: given.config.as_ref().map(|path| {
             let (given, path) = (given.clone(), path.clone());
-            let before = Mutex::new(file_table(&path).unwrap_or_default());
+            let begun_with = file_table(&path).unwrap_or_default();
             reader(move || {
                 let bounds = bounds(&with_file(given.clone())?)?;
-                let now = file_table(&path)?;
-                for name in waiting_changes(&before.lock(), &now) {
-                    tracing::warn!(setting = name, "this change needs a restart");
+                for name in waiting_changes(&begun_with, &file_table(&path)?) {
+                    tracing::warn!(
+                        "the setting {name} has changed in the file; it needs a restart"
+                    );
                 }
-                *before.lock() = now;
                 Ok(bounds)
             })
         }),

@@ -112,3 +112,24 @@ fn numbers_below_their_least_are_refused() {
         assert!(refused(&[flag]), "{flag}");
     }
 }
+
+/// The settings that a reload puts in force are those that the limits are made of, and the page lists them.
+#[test]
+fn a_reload_changes_what_the_limits_are_made_of() {
+    use super::edge::{RELOADED, bounds};
+
+    let shown = |file: &str| {
+        let args = ServeArgs::default().or(parse_file(file).ok()?);
+        bounds(&args).ok().map(|bounds| format!("{bounds:?}"))
+    };
+    let default = shown("").unwrap();
+    let page = include_str!("../../../docs/deploy.md");
+    for name in setting_names() {
+        let values = ["7", "\"7\"", "[\"10.0.0.0/8\"]", "true", "\"json\"", "\"z\""];
+        let texts: Vec<String> =
+            values.iter().filter_map(|value| shown(&format!("{name} = {value}"))).collect();
+        let is_bound = texts.iter().any(|text| *text != default);
+        assert_eq!(is_bound, RELOADED.contains(&&name[..]), "{name}");
+        assert!(!is_bound || page.contains(&format!("`{name}`")), "docs/deploy.md lacks {name}");
+    }
+}

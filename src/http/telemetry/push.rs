@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use opentelemetry_proto::tonic::collector::metrics::v1::ExportMetricsServiceRequest;
+use opentelemetry_proto::tonic::collector::metrics::v1::{
+    ExportMetricsServiceRequest, ExportMetricsServiceResponse,
+};
 use opentelemetry_proto::tonic::common::v1::{AnyValue, InstrumentationScope, KeyValue, any_value};
 use opentelemetry_proto::tonic::metrics::v1::{
     AggregationTemporality, Gauge, Histogram, HistogramDataPoint, Metric, NumberDataPoint,
@@ -36,9 +38,10 @@ impl Pusher {
     /// A variable of the environment cannot be used.
     pub fn new(base: &str, resource: &opentelemetry_sdk::Resource) -> Result<Pusher, String> {
         let variable = |name: &str| std::env::var(name).ok().filter(|text| !text.is_empty());
-        let headers = variable("OTEL_EXPORTER_OTLP_METRICS_HEADERS")
-            .or_else(|| variable("OTEL_EXPORTER_OTLP_HEADERS"))
-            .map_or_else(|| Ok(HeaderMap::new()), |text| parse_headers(&text))?;
+        let named = |name| variable(name).map(|text| (name, text));
+        let headers = named("OTEL_EXPORTER_OTLP_METRICS_HEADERS")
+            .or_else(|| named("OTEL_EXPORTER_OTLP_HEADERS"))
+            .map_or_else(|| Ok(HeaderMap::new()), |(name, text)| parse_headers(name, &text))?;
         let interval = match variable("OTEL_METRIC_EXPORT_INTERVAL") {
             None => INTERVAL,
             Some(text) => text
@@ -85,18 +88,33 @@ impl Pusher {
         let request = self.client.post(&self.url).header(CONTENT_TYPE, "application/x-protobuf");
         let answer = request.body(message.encode_to_vec()).send().await;
         let answer = answer.map_err(|error| error.to_string())?;
-        match answer.status().is_success() {
-            true => Ok(()),
-            false => Err(format!("{}: {}", self.url, answer.status())),
+        if !answer.status().is_success() {
+            return Err(format!("{}: {}", self.url, answer.status()));
+        }
+        // A collector may take a part.
+        let taken = answer.bytes().await.ok();
+        let taken = taken.and_then(|body| ExportMetricsServiceResponse::decode(body).ok());
+        match taken.and_then(|taken| taken.partial_success) {
+            Some(partial) if partial.rejected_data_points > 0 => Err(format!(
+                "{}: {} values are refused: {}",
+                self.url, partial.rejected_data_points, partial.error_message
+            )),
+            _ => Ok(()),
         }
     }
 }
 
-/// Parses `name=value,name=value`, with percent-encoded values.
-fn parse_headers(text: &str) -> Result<HeaderMap, String> {
+/// Parses `name=value,name=value`, with percent-encoded values, of a variable. Errors do not repeat the text, which may be secret.
+fn parse_headers(variable: &str, text: &str) -> Result<HeaderMap, String> {
     let mut headers = HeaderMap::new();
-    for pair in text.split(',').map(str::trim).filter(|pair| !pair.is_empty()) {
-        let wrong = || format!("OTEL_EXPORTER_OTLP_HEADERS: `{pair}`: expected NAME=VALUE");
+    for (number, pair) in text.split(',').map(str::trim).enumerate() {
+        if pair.is_empty() {
+            continue;
+        }
+        let wrong = || {
+            let place = number + 1;
+            format!("{variable}: part {place} is no header; expected NAME=VALUE,NAME=VALUE")
+        };
         let (name, value) = pair.split_once('=').ok_or_else(wrong)?;
         let value = percent_encoding::percent_decode_str(value.trim()).decode_utf8_lossy();
         let name: HeaderName = name.trim().parse().map_err(|_| wrong())?;
@@ -337,11 +355,11 @@ p_requests_total{route="/",status="404"} 2
 
     #[test]
     fn headers_are_decoded() {
-        let headers = parse_headers("Authorization=Basic%20abc, x-tenant=a=b").unwrap();
+        let headers = parse_headers("X", "Authorization=Basic%20abc, x-tenant=a=b").unwrap();
         assert_eq!(headers["authorization"], "Basic abc");
         assert_eq!(headers["x-tenant"], "a=b");
         for wrong in ["alone", "a b=c", "a=%0A"] {
-            assert!(parse_headers(wrong).unwrap_err().contains("NAME=VALUE"), "{wrong}");
+            assert!(parse_headers("X", wrong).unwrap_err().contains("NAME=VALUE"), "{wrong}");
         }
     }
 }

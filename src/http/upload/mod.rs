@@ -84,13 +84,11 @@ pub async fn create(
     let target = Target::from_uri(&parts.uri)?;
     refuse_while_draining(&app)?;
     app.settings.uploads.accepted()?;
-    let share = {
-        let limits = app.rules().bounds.uploads;
-        app.uploads.admit(owner.name.as_deref(), limits, &owner.quotas)?
-    };
+    let rules = app.rules();
+    let share = app.uploads.admit(owner.name.as_deref(), rules.bounds.uploads, &owner.quotas)?;
     // Reserve a given id before the body is received, so that a clash is answered at once.
     let reservation = target.id.as_deref().map(|id| reserve(&app, id)).transpose()?;
-    let limit = app.rules().bounds.max_upload_bytes;
+    let limit = rules.bounds.max_upload_bytes;
     body::check_length(&headers, limit)?;
     let admission = reservation.as_ref().map(|reservation| reservation.admission().clone());
     let mut budget = Budget {
