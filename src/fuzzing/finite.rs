@@ -4,15 +4,24 @@ use std::fmt::Debug;
 
 /// Panics where a number in `value` is NaN or infinite. Strings in `value` may hold these words.
 pub fn assert_finite(value: &impl Debug) {
+    assert_without(&[b"NaN", b"inf"], value);
+}
+
+/// Panics where a number in `value` is NaN.
+pub fn assert_numbers(value: &impl Debug) {
+    assert_without(&[b"NaN"], value);
+}
+
+fn assert_without(words: &[&[u8]], value: &impl Debug) {
     let text = format!("{value:?}");
-    if let Some(at) = not_finite(&text) {
-        let bytes = &text.as_bytes()[at.saturating_sub(200)..text.len().min(at + 3)];
-        panic!("a number is not finite: …{}", String::from_utf8_lossy(bytes));
+    if let Some(at) = find(words, &text) {
+        let around = &text.as_bytes()[at.saturating_sub(200)..text.len().min(at + 3)];
+        panic!("a number is not finite: …{}", String::from_utf8_lossy(around));
     }
 }
 
-/// The place of the first number that is not finite.
-fn not_finite(text: &str) -> Option<usize> {
+/// The place of the first of these words outside strings.
+fn find(words: &[&[u8]], text: &str) -> Option<usize> {
     let bytes = text.as_bytes();
     let (mut at, mut is_quoted) = (0, false);
     while at < bytes.len() {
@@ -23,7 +32,7 @@ fn not_finite(text: &str) -> Option<usize> {
                 let rest = &bytes[at..];
                 let end = rest.iter().position(|&b| !b.is_ascii_alphanumeric() && b != b'_');
                 let word = &rest[..end.unwrap_or(rest.len())];
-                if matches!(word, b"NaN" | b"inf") {
+                if words.contains(&word) {
                     return Some(at);
                 }
                 at += word.len();
@@ -39,6 +48,10 @@ fn not_finite(text: &str) -> Option<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn not_finite(text: &str) -> Option<usize> {
+        find(&[b"NaN", b"inf"], text)
+    }
 
     #[test]
     fn numbers_are_told_from_words() {

@@ -14,7 +14,7 @@ mod scenes;
 mod tests;
 
 pub(crate) use self::assets::any_asset;
-pub(crate) use self::finite::assert_finite;
+pub(crate) use self::finite::{assert_finite, assert_numbers};
 use crate::assets::FORMATS;
 use crate::{bake, http};
 

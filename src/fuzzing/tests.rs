@@ -86,6 +86,29 @@ fn run(target: &Target, what: &str, data: &[u8]) {
     }
 }
 
+/// Entries of the cache change with its version, so they are made of files: `UPDATE=1` writes them anew.
+#[test]
+fn the_corpus_has_entries_of_the_cache() {
+    let folder = folder().join("bake-cache");
+    if std::env::var_os("UPDATE").is_some() {
+        let files: Vec<Vec<u8>> = ["ply", "xyz", "stl", "swc", "obj"]
+            .into_iter()
+            .flat_map(|target| corpus(target).into_iter().map(|(_, data)| data))
+            .collect();
+        let mut entries = crate::bake::cache::fuzzing::entries(files.iter().map(Vec::as_slice));
+        entries.retain(|entry| entry.len() as u64 <= MOST_FILE_BYTES);
+        entries.sort_by_key(Vec::len);
+        entries.dedup();
+        let step = entries.len().div_ceil(12).max(1);
+        let _ = fs::remove_dir_all(&folder);
+        fs::create_dir_all(&folder).unwrap();
+        for (number, entry) in entries.iter().step_by(step).enumerate() {
+            fs::write(folder.join(format!("entry-{number}")), entry).unwrap();
+        }
+    }
+    assert!(corpus("bake-cache").len() > 3, "UPDATE=1 writes entries");
+}
+
 #[test]
 fn every_target_withstands_its_corpus_and_mutations_of_it() {
     for target in targets() {

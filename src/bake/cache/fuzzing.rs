@@ -62,3 +62,28 @@ fn keep(packed: Option<PackedGeometry>) {
     let refusal = Entry::of(&packed).err();
     assert!(refusal.is_none(), "what is packed cannot be kept: {refusal:?}");
 }
+
+/// Returns entries, as [`read`] takes them, of what is packed of files.
+#[cfg(test)]
+pub fn entries<'a>(files: impl Iterator<Item = &'a [u8]>) -> Vec<Vec<u8>> {
+    let mut entries = Vec::new();
+    for asset in files.filter_map(any_asset) {
+        for geometry in &asset.geometries {
+            let packed = match geometry {
+                Geometry::Points(cloud) => {
+                    build_tree(cloud, None).ok().map(PackedGeometry::Samples)
+                }
+                Geometry::Mesh(mesh) => {
+                    pack_mesh(mesh, &asset.materials).ok().map(PackedGeometry::Triangles)
+                }
+                Geometry::Lines(lines) => pack_lines(lines).ok().map(PackedGeometry::Lines),
+            };
+            let Some(packed) = packed else { continue };
+            let mut bytes = Vec::new();
+            Entry::of(&[packed]).unwrap().write(&mut bytes, &KEY).unwrap();
+            bytes.truncate(bytes.len() - TRAILER_BYTES as usize);
+            entries.push(bytes);
+        }
+    }
+    entries
+}
