@@ -31,6 +31,8 @@ use sha2::{Digest, Sha256};
 use self::entry::{Entry, Refusal, SpilledEntry};
 #[cfg(any(test, fuzzing))]
 pub(crate) use self::fuzzing::TARGETS as FUZZ_TARGETS;
+#[cfg(test)]
+pub(crate) use self::fuzzing::entries as fuzz_entries;
 use super::external::{Spill, Spilled, disk_bytes};
 use super::pack::PackedGeometry;
 use super::tree::TreeStatistics;

@@ -95,7 +95,7 @@ fn the_corpus_has_entries_of_the_cache() {
             .into_iter()
             .flat_map(|target| corpus(target).into_iter().map(|(_, data)| data))
             .collect();
-        let mut entries = crate::bake::cache::fuzzing::entries(files.iter().map(Vec::as_slice));
+        let mut entries = crate::bake::cache::fuzz_entries(files.iter().map(Vec::as_slice));
         entries.retain(|entry| entry.len() as u64 <= MOST_FILE_BYTES);
         entries.sort_by_key(Vec::len);
         entries.dedup();
