@@ -233,7 +233,7 @@ fn beside(measured: &Measured) -> Section {
     }
     Section {
         title: format!(
-            "Beside it, measured: requests of {} by `pointillist load` on {}, each connection asking for the next frame as soon as it has one",
+            "Comparison with a measurement: requests of {} by `pointillist load` on {}, each connection asking for the next frame as soon as it has one",
             measured.client_size,
             measured.machine()
         ),

@@ -91,6 +91,13 @@ pub struct Receipts {
     pub encode_p50_ns: f64,
 }
 
+impl FilmPoint {
+    /// CPU time of workers and broker for a frame, in milliseconds.
+    pub fn cpu_ms(&self) -> f64 {
+        1e3 * (self.worker_cpu_s + self.broker_cpu_s) / self.frames as f64
+    }
+}
+
 impl Measured {
     pub fn read() -> anyhow::Result<Measured> {
         let text = std::fs::read(FILE).context(FILE)?;
