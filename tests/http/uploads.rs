@@ -274,6 +274,8 @@ fn an_upload_that_a_full_disk_cuts_is_refused() {
     assert_eq!(refused.status, 507, "{}", refused.text());
     assert_eq!(refused.problem()["type"], "urn:pointillist:problem:storage");
     assert_eq!(client.get("/v1/scenes/cut").status, 404);
+    // The space is free when nobody has the file open.
+    drop(file);
     std::fs::remove_file(&filler).unwrap();
     let made = upload();
     assert_eq!((made.status, &made.json()["samples"]), (201, &json!(1024)), "{}", made.text());
