@@ -59,7 +59,7 @@ pub fn sections(measured: &Measured) -> Vec<Section> {
     for (what, frame_ms) in [("a GPU", GPU_FRAME_MS), ("two CPU cores", CPU_FRAME_MS)] {
         for (store_name, store) in [("folder", measured.folder()), ("bucket", bucket())] {
             let mut rows = Vec::new();
-            let mut best = 0.0_f64;
+            let (mut best, mut is_settled) = (0.0_f64, true);
             for workers in WORKERS {
                 let outcome = steady(measured, workers, frame_ms, store);
                 let most = workers as f64 * 1e3 / frame_ms;
@@ -69,7 +69,7 @@ pub fn sections(measured: &Measured) -> Vec<Section> {
                     limits.push(limit_row(what, store_name, &outcome, workers));
                 }
                 // Beyond what the store serves, twenty seconds are too few for a steady rate.
-                let is_settled = outcome.frames_per_s > 1.05 * best;
+                is_settled &= outcome.frames_per_s > 1.05 * best;
                 best = best.max(outcome.frames_per_s);
                 let settled = |text: String| if is_settled { text } else { "–".to_owned() };
                 rows.push(vec![
