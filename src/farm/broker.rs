@@ -177,10 +177,12 @@ impl Broker {
         // An earlier mending may have ended after the consumer was removed.
         self.prepare(kind).await?;
         for _ in 0..LOOKS {
-            if self.in_stream(kind).await? <= self.known_to_consumer(kind).await? {
+            // Runs may be queued and finished between the requests.
+            let before = self.known_to_consumer(kind).await?;
+            let in_stream = self.in_stream(kind).await?;
+            if in_stream <= before.max(self.known_to_consumer(kind).await?) {
                 return Ok(false);
             }
-            // Runs may have been queued or finished between the two requests.
             tokio::time::sleep(LOOK_AGAIN).await;
         }
         let stream = self.context.get_stream_no_info(STREAM).await;

@@ -32,8 +32,13 @@ const PAUSE: Duration = Duration::from_millis(500);
 const COUNT_EVERY: Duration = Duration::from_secs(2);
 /// Interval at which scenes' files that no film needs are removed from the store.
 const CLEAN_EVERY: Duration = Duration::from_secs(24 * 3600);
+const CLEAN_AFTER: Duration = Duration::from_secs(3600);
 /// Time limit of the removal of a film that is over.
-const CLEAR: Duration = Duration::from_secs(20);
+const CLEAR: Duration = Duration::from_secs(60);
+/// Number of frames set aside at which a film is given up, before all its frames have killed workers.
+const MOST_ASIDE: usize = 8;
+/// Largest beat, in bytes.
+const MOST_BEAT: usize = 1024;
 
 /// Draws frames of jobs by worker processes; clones share it.
 #[derive(Clone)]
@@ -112,7 +117,9 @@ async fn hear_beats(shared: Arc<Shared>) {
     loop {
         if let Ok(mut beats) = shared.broker.hear(BEATS).await {
             while let Some(message) = beats.next().await {
-                if let Ok(beat) = serde_json::from_slice::<Beat>(&message.payload) {
+                if message.payload.len() <= MOST_BEAT
+                    && let Ok(beat) = serde_json::from_slice::<Beat>(&message.payload)
+                {
                     shared.roster.lock().hear(beat, Instant::now());
                 }
             }
@@ -133,7 +140,9 @@ async fn count_queued(shared: Arc<Shared>) {
 
 /// Removes what no film needs, for as long as the process lives.
 async fn clean_store(store: Store) {
-    let mut interval = tokio::time::interval(CLEAN_EVERY);
+    // Not at once: daemons that start together would clean together.
+    let first = tokio::time::Instant::now() + CLEAN_AFTER;
+    let mut interval = tokio::time::interval_at(first, CLEAN_EVERY);
     loop {
         interval.tick().await;
         match store.clean(SystemTime::now()).await {
@@ -197,8 +206,9 @@ impl Remote for Farm {
             drop(sharing);
             // The frames are in the job's folder. A worker that still draws some finds no order and stops.
             let cleared = async {
-                shared.broker.purge(&shared.kind, &film).await?;
-                Ok::<(), Trouble>(shared.store.remove(&film).await?)
+                let purged = shared.broker.purge(&shared.kind, &film).await;
+                shared.store.remove(&film).await?;
+                Ok::<(), Trouble>(purged?)
             };
             match tokio::time::timeout(CLEAR, cleared).await {
                 Ok(Ok(())) => {}
@@ -263,7 +273,7 @@ impl Collection<'_> {
         // The store may have frames of an earlier process.
         let mut listed_at: Option<Instant> = None;
         let mut news_at = Instant::now();
-        while !self.desk.is_clear() {
+        while !self.desk.is_clear() && self.aside.len() < MOST_ASIDE {
             let is_quiet = news_at.elapsed() >= LIST_AFTER;
             if listed_at.is_none_or(|at| is_quiet && at.elapsed() >= LIST_AFTER) {
                 match self.look(keep).await? {

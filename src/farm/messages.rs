@@ -10,6 +10,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::film::Wanted;
+use crate::film::manifest::are_digits;
 use crate::jobs::Spec;
 
 /// Name of the broker's stream.
@@ -76,6 +77,11 @@ pub struct Run {
 }
 
 impl Run {
+    /// Returns whether the film has a name that a daemon gives. An empty name would be that of all films.
+    pub fn is_sound(&self) -> bool {
+        are_digits(&self.film, 32)
+    }
+
     /// Returns the name under which the tries of these frames are counted.
     pub fn key(&self) -> String {
         let end = |frame: Option<&Wanted>| frame.map_or(0, |frame| frame.number);
@@ -128,6 +134,11 @@ mod tests {
         let frames: Vec<Wanted> =
             (3..6).map(|number| Wanted { number, tag: format!("t{number}") }).collect();
         let run = Run { film: "f".to_owned(), id: 7, frames };
+        let named = |film: &str| Run { film: film.to_owned(), ..run.clone() }.is_sound();
+        assert!(named(&"0af9".repeat(8)));
+        assert!(
+            ["", "f", ".", &"0AF9".repeat(8), &"0af9".repeat(16)].iter().all(|film| !named(film))
+        );
         assert_eq!(run.key(), "3-5");
         let split: Vec<Run> = run.split().collect();
         assert_eq!(split.iter().map(Run::key).collect::<Vec<_>>(), ["3-3", "4-4", "5-5"]);

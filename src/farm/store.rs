@@ -27,6 +27,7 @@ use sha2::{Digest, Sha256};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
 use super::messages::Bundle;
+use crate::film::manifest::{are_digits, digits};
 
 /// Number of tries of an operation. The pause after each is twice as long as the one before.
 const TRIES: u32 = 4;
@@ -246,7 +247,9 @@ impl Store {
         let assets: Vec<_> = self.tried(|| self.objects.list(Some(&assets)).try_collect()).await?;
         let is_old = |at: SystemTime| now.duration_since(at).is_ok_and(|age| age >= KEPT);
         let old = assets.into_iter().filter(|asset| is_old(asset.last_modified.into()));
-        let mut old: Vec<Path> = old.map(|asset| asset.location).collect();
+        // Whatever else lies there is somebody else's.
+        let ours = old.map(|asset| asset.location).filter(is_asset);
+        let mut old: Vec<Path> = ours.collect();
         if old.is_empty() {
             return Ok(0);
         }
@@ -287,14 +290,20 @@ impl Store {
         self.tried(|| async {
             let mut source = tokio::fs::File::open(file).await.map_err(of_file)?;
             let mut upload = WriteMultipart::new(self.objects.put_multipart(&name).await?);
+            let mut hasher = Sha256::new();
             loop {
                 let mut part = Vec::with_capacity(PART);
                 (&mut source).take(PART as u64).read_to_end(&mut part).await.map_err(of_file)?;
                 if part.is_empty() {
                     break;
                 }
+                hasher.update(&part);
                 upload.wait_for_capacity(2).await?;
                 upload.write(&part);
+            }
+            if digits(&hasher.finalize()) != sha256 {
+                upload.abort().await?;
+                return Err(of_file(std::io::Error::other("the file changed while it was stored")));
             }
             upload.finish().await
         })
@@ -315,7 +324,7 @@ impl Store {
                 target.write_all(&piece).await.map_err(of_file)?;
             }
             target.flush().await.map_err(of_file)?;
-            Ok(crate::film::manifest::digits(&hasher.finalize()))
+            Ok(digits(&hasher.finalize()))
         })
         .await
     }
@@ -348,6 +357,12 @@ fn aside_path(film: &str, frame: u64) -> Path {
 
 fn asset_path(sha256: &str) -> Path {
     Path::from("assets").join(sha256)
+}
+
+/// Returns whether an object is a scene's file, by its name.
+fn is_asset(name: &Path) -> bool {
+    let parts: Vec<_> = name.parts().collect();
+    matches!(&parts[..], [_, hash] if are_digits(hash.as_ref(), 64))
 }
 
 /// Appends the checksum of an image.
@@ -430,19 +445,21 @@ mod tests {
     #[tokio::test]
     async fn old_assets_are_removed_unless_a_film_needs_them() {
         let (folder, store) = store();
-        let file = folder.path().join("a.ply");
-        std::fs::write(&file, "ply").unwrap();
-        for sha256 in ["old", "needed", "young"] {
-            store.put_asset(sha256, &file).await.unwrap();
+        let [old, needed, young] = ["0", "1", "2"].map(|digit| digit.repeat(64));
+        let foreign = "model.ply".to_owned();
+        let assets = folder.path().join("deep/store/assets");
+        std::fs::create_dir_all(&assets).unwrap();
+        for name in [&old, &needed, &young, &foreign] {
+            std::fs::write(assets.join(name), "ply").unwrap();
         }
         let now = SystemTime::now();
         assert_eq!(store.clean(now).await.unwrap(), 0);
-        for sha256 in ["old", "needed"] {
-            age(folder.path(), sha256, KEPT + PAUSE);
+        for name in [&old, &needed, &foreign] {
+            age(folder.path(), name, KEPT + PAUSE);
         }
         let mut order = serde_json::json!({"scene": {
             "main": "a.ply", "base": null, "up": null,
-            "files": [{"path": "a.ply", "bytes": 3, "sha256": "needed"}],
+            "files": [{"path": "a.ply", "bytes": 3, "sha256": needed}],
         }});
         store.put_order("f", order.to_string().into_bytes()).await.unwrap();
         store.put_order("broken", b"{}".to_vec()).await.unwrap();
@@ -450,12 +467,12 @@ mod tests {
         assert!(error.contains("films/broken/order.json"), "{error}");
         store.remove("broken").await.unwrap();
         assert_eq!(store.clean(now).await.unwrap(), 1);
-        let has = |sha256: &str| folder.path().join("deep/store/assets").join(sha256).exists();
-        assert_eq!(["old", "needed", "young"].map(has), [false, true, true]);
+        let has = |name: &String| assets.join(name).exists();
+        assert_eq!([&old, &needed, &young, &foreign].map(has), [false, true, true, true]);
         order["scene"]["files"] = serde_json::json!([]);
         store.put_order("f", order.to_string().into_bytes()).await.unwrap();
         assert_eq!(store.clean(now).await.unwrap(), 1);
-        assert_eq!(["needed", "young"].map(has), [false, true]);
+        assert_eq!([&needed, &young, &foreign].map(has), [false, true, true]);
     }
 
     #[tokio::test]
@@ -474,6 +491,11 @@ mod tests {
         let copy = folder.path().join("copy.ply");
         assert_eq!(store.asset(&sha256, &copy).await.unwrap(), sha256);
         assert_eq!(std::fs::read(&copy).unwrap(), content);
+        // A file that is not what its hash says is not stored.
+        let other = "3".repeat(64);
+        let changed = store.put_asset(&other, &file).await.unwrap_err().to_string();
+        assert!(changed.contains("changed while it was stored"), "{changed}");
+        assert!(!folder.path().join("deep/store/assets").join(other).exists());
         let missing = store.asset("00", &copy).await.unwrap_err().to_string();
         assert!(missing.starts_with("--store ") && missing.contains("assets/00"), "{missing}");
     }

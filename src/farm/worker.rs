@@ -23,7 +23,7 @@ use super::pacing::{
 };
 use super::stopped;
 use super::store::{Store, StoreError};
-use crate::engine::{Client, Engine, EngineError, RequestId, Source};
+use crate::engine::{Client, Engine, EngineError, RequestId};
 use crate::film::manifest::digits;
 use crate::film::{self, Drawn, Film, FilmError, Wanted};
 use crate::jobs::find_shots;
@@ -150,7 +150,8 @@ impl Worker {
 
     /// Works on the run of a message, and answers the message.
     async fn work(&self, message: &Message, stop: &Arc<AtomicBool>) {
-        let Ok(run) = serde_json::from_slice::<Run>(&message.payload) else {
+        let run = serde_json::from_slice::<Run>(&message.payload);
+        let Some(run) = run.ok().filter(Run::is_sound) else {
             tracing::error!(
                 "a message is no run; another version of the program may have queued it"
             );
@@ -356,12 +357,12 @@ impl Worker {
         }
         self.forget(&mut scenes, |other| other == id).await;
         let folder = self.folder.join(&key);
-        let source = unpack(&self.store, &order.scene, &folder).await.map_err(text)?;
-        let mut loaded = self.load(id, source.clone()).await;
+        let mut loaded = self.load(order, &folder).await;
         if loaded.is_err() && !scenes.is_empty() {
-            // The scenes of other films may take the memory.
+            // The scenes of other films may take the memory, or the disk.
+            let _ = tokio::fs::remove_dir_all(&folder).await;
             self.forget(&mut scenes, |_| true).await;
-            loaded = self.load(id, source).await;
+            loaded = self.load(order, &folder).await;
         }
         if let Err(error) = loaded {
             let _ = tokio::fs::remove_dir_all(&folder).await;
@@ -371,9 +372,15 @@ impl Worker {
         Ok(())
     }
 
-    async fn load(&self, id: &str, source: Source) -> Result<(), String> {
-        let (engine, id) = (self.engine.clone(), id.to_owned());
-        let load = move || engine.load_within(&id, &source, &engine.admission()).map(drop);
+    /// Copies a film's scene into a folder, and loads it.
+    async fn load(&self, order: &FilmOrder, folder: &Path) -> Result<(), String> {
+        let source = unpack(&self.store, &order.scene, folder).await.map_err(text)?;
+        let (engine, id) = (self.engine.clone(), order.spec.scene.clone());
+        let load = move || {
+            // A load that took too long may have ended meanwhile.
+            let _ = engine.remove(&id);
+            engine.load_within(&id, &source, &engine.admission()).map(drop)
+        };
         tokio::task::spawn_blocking(load).await.map_err(text)?.map_err(text)
     }
 

@@ -145,6 +145,11 @@ pub fn read_sound(folder: &Path, record: &Record) -> io::Result<Option<Vec<u8>>>
     }
 }
 
+/// Returns whether a text is so many hexadecimal digits, as [`digits`] writes them.
+pub fn are_digits(text: &str, count: usize) -> bool {
+    text.len() == count && text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
+}
+
 /// Bytes as hexadecimal digits.
 pub fn digits(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()

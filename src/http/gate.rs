@@ -84,10 +84,14 @@ impl Outlets {
         self.access_log.is_none() && self.telemetry.is_none()
     }
 
-    /// Strangers do not choose traces.
-    fn forget_parent(&mut self) {
-        if let Some((_, parent)) = &mut self.telemetry {
-            *parent = Parent::default();
+    /// Leaves out what a request that was not let in may not choose: strangers have no spans, and the others no traces of their choice.
+    fn keep_from(&mut self, asked: &Asked) {
+        if asked.is_let_in.load(Ordering::Relaxed) {
+            return;
+        }
+        match &mut self.telemetry {
+            Some((_, parent)) if asked.key.get().is_some() => *parent = Parent::default(),
+            telemetry => *telemetry = None,
         }
     }
 
@@ -136,9 +140,7 @@ impl Pending<'_> {
         if self.outlets.is_empty() {
             return response;
         }
-        if !self.asked.is_let_in.load(Ordering::Relaxed) {
-            self.outlets.forget_parent();
-        }
+        self.outlets.keep_from(&self.asked);
         let line = line.spent(response.extensions_mut().remove::<Spent>());
         let (outlets, at) = (self.outlets.clone(), self.asked.at);
         response.map(|body| journal::logged(body, line, at, move |line| outlets.tell(line, at)))
@@ -155,6 +157,7 @@ impl Drop for Pending<'_> {
         if self.may_change() && self.asked.is_let_in.load(Ordering::Relaxed) {
             self.app.audit(&line.clone().event("client-gone"));
         }
+        self.outlets.keep_from(&self.asked);
         self.outlets.tell(&line, self.asked.at);
     }
 }

@@ -69,7 +69,7 @@ use std::hash::{BuildHasher, RandomState};
 use std::net::IpAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::time::{Duration, Instant, SystemTime};
 
 use axum::Router;
@@ -95,7 +95,7 @@ pub use upload::quota::UploadLimits;
 
 use self::access::Quotas;
 use self::access::signed::Caps;
-use self::journal::{Journal, Notice};
+use self::journal::Journal;
 use self::limits::{Holder, Limits, Standing};
 use self::rules::{Bounds, Reread, Rules};
 use self::telemetry::Telemetry;
@@ -164,6 +164,7 @@ pub struct App {
     rules: parking_lot::RwLock<Arc<Rules>>,
     /// The turn of the reload that reads files.
     reloading: parking_lot::Mutex<()>,
+    wants_reload: AtomicBool,
     limits: Arc<Limits>,
     /// Connections by address.
     connections: headcount::Headcount<IpAddr>,
@@ -209,6 +210,7 @@ impl App {
                 bounds: settings.bounds.clone(),
             })),
             reloading: parking_lot::Mutex::new(()),
+            wants_reload: AtomicBool::new(false),
             limits,
             connections: headcount::Headcount::default(),
             phase: AtomicU8::new(0),
@@ -233,41 +235,6 @@ impl App {
         self.rules.read().clone()
     }
 
-    /// Reads keys, certificates and limits again, and has the logs opened anew. Each is put in force by itself: if one of them cannot be
-    /// used, it stays as it was. Files may be slow, so this is not for a thread of the runtime.
-    pub fn reload(&self) {
-        let _turn = self.reloading.lock();
-        let Reread { access, tls, bounds } = &self.settings.reread;
-        if access.is_none() && tls.is_none() && bounds.is_none() {
-            tracing::info!("no API keys, certificates or settings file to read again");
-        }
-        if let Some(read) = access {
-            let read = read.0().map(|access| {
-                self.know_keys(&access);
-                self.put_in_force(|rules| Rules { access, ..rules });
-            });
-            self.tell_reload("API keys", "keys", read);
-        }
-        if let Some(read) = tls {
-            let read =
-                read.0().map(|tls| self.put_in_force(|rules| Rules { tls: Some(tls), ..rules }));
-            self.tell_reload("certificates", "certificates", read);
-        }
-        if let Some(read) = bounds {
-            let read = read.0().map(|bounds| self.put_in_force(|rules| Rules { bounds, ..rules }));
-            self.tell_reload("limits", "limits", read);
-        }
-        let edge = &self.settings.edge;
-        for journal in edge.access_log.iter().chain(&edge.audit_log) {
-            journal.reopen();
-        }
-    }
-
-    fn put_in_force(&self, change: impl FnOnce(Rules) -> Rules) {
-        let mut rules = self.rules.write();
-        *rules = Arc::new(change(Rules::clone(&rules)));
-    }
-
     /// Tells the quotas of keys, which open streams are held to as well.
     fn know_keys(&self, access: &access::Access) {
         let holders = match access {
@@ -284,17 +251,6 @@ impl App {
             }
         };
         self.limits.set_holders(holders);
-    }
-
-    /// Logs the outcome of a reload of `what`.
-    fn tell_reload(&self, what: &str, subject: &'static str, read: Result<(), String>) {
-        let error = read.err();
-        match &error {
-            None => tracing::info!("{what} read again"),
-            Some(error) => tracing::error!(error, "the {what} in force stay"),
-        }
-        let event = if error.is_none() { "reload" } else { "reload-refused" };
-        self.audit(&Notice::new(event, subject, error));
     }
 
     fn audit(&self, entry: &impl serde::Serialize) {

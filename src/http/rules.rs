@@ -2,9 +2,12 @@
 //! while the process lives.
 
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
+use super::App;
 use super::access::Access;
 use super::jobs::WatchLimits;
+use super::journal::Notice;
 use super::stream::StreamLimits;
 use super::tls::Tls;
 use super::upload::quota::UploadLimits;
@@ -50,4 +53,63 @@ pub struct Reread {
     pub access: Option<Reader<Access>>,
     pub tls: Option<Reader<Tls>>,
     pub bounds: Option<Reader<Bounds>>,
+}
+
+impl App {
+    /// Reads keys, certificates and limits again, and has the logs opened anew. Each is put in force by itself: if one of them cannot be
+    /// used, it stays as it was. Files may be slow, so this is not for a thread of the runtime.
+    pub fn reload(&self) {
+        let edge = &self.settings.edge;
+        for journal in edge.access_log.iter().chain(&edge.audit_log) {
+            journal.reopen();
+        }
+        self.wants_reload.store(true, Ordering::SeqCst);
+        // If another reload is reading, it reads once more.
+        while self.wants_reload.load(Ordering::SeqCst)
+            && let Some(_turn) = self.reloading.try_lock()
+        {
+            while self.wants_reload.swap(false, Ordering::SeqCst) {
+                self.read_rules();
+            }
+        }
+    }
+
+    fn read_rules(&self) {
+        let Reread { access, tls, bounds } = &self.settings.reread;
+        if access.is_none() && tls.is_none() && bounds.is_none() {
+            tracing::info!("no API keys, certificates or settings file to read again");
+        }
+        if let Some(read) = access {
+            let read = read.0().map(|access| {
+                self.know_keys(&access);
+                self.put_in_force(|rules| Rules { access, ..rules });
+            });
+            self.tell_reload("API keys", "keys", read);
+        }
+        if let Some(read) = tls {
+            let read =
+                read.0().map(|tls| self.put_in_force(|rules| Rules { tls: Some(tls), ..rules }));
+            self.tell_reload("certificates", "certificates", read);
+        }
+        if let Some(read) = bounds {
+            let read = read.0().map(|bounds| self.put_in_force(|rules| Rules { bounds, ..rules }));
+            self.tell_reload("limits", "limits", read);
+        }
+    }
+
+    fn put_in_force(&self, change: impl FnOnce(Rules) -> Rules) {
+        let mut rules = self.rules.write();
+        *rules = Arc::new(change(Rules::clone(&rules)));
+    }
+
+    /// Logs the outcome of a reload of `what`.
+    fn tell_reload(&self, what: &str, subject: &'static str, read: Result<(), String>) {
+        let error = read.err();
+        match &error {
+            None => tracing::info!("{what} read again"),
+            Some(error) => tracing::error!(error, "the {what} in force stay"),
+        }
+        let event = if error.is_none() { "reload" } else { "reload-refused" };
+        self.audit(&Notice::new(event, subject, error));
+    }
 }

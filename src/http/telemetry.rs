@@ -117,7 +117,10 @@ impl Telemetry {
         }
         // Another crate may have chosen a provider of cryptography already, which is as good.
         let _ = tokio_rustls::rustls::crypto::ring::default_provider().install_default();
-        let client = reqwest::blocking::Client::builder().timeout(LIMIT).build();
+        let client = reqwest::blocking::Client::builder()
+            .timeout(LIMIT)
+            .redirect(reqwest::redirect::Policy::none())
+            .build();
         let exporter = SpanExporter::builder()
             .with_http()
             .with_http_client(client.map_err(|error| error.to_string())?)

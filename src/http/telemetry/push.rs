@@ -14,11 +14,15 @@ use opentelemetry_proto::tonic::metrics::v1::{
 use opentelemetry_proto::tonic::resource::v1::Resource;
 use prost::Message;
 use reqwest::header::{CONTENT_TYPE, HeaderMap, HeaderName, HeaderValue};
+use reqwest::redirect::Policy;
 
 use super::LIMIT;
 
 /// Interval unless `OTEL_METRIC_EXPORT_INTERVAL` says otherwise, as the OpenTelemetry specification has it.
 const INTERVAL: Duration = Duration::from_secs(60);
+
+/// Longest answer of a collector that is read, in bytes.
+const MOST_ANSWER: usize = 64 << 10;
 
 /// Sends metrics.
 #[derive(Debug)]
@@ -53,7 +57,11 @@ impl Pusher {
                     format!("OTEL_METRIC_EXPORT_INTERVAL={text}: expected a number of milliseconds")
                 })?,
         };
-        let client = reqwest::Client::builder().timeout(LIMIT).default_headers(headers).build();
+        let client = reqwest::Client::builder()
+            .timeout(LIMIT)
+            .redirect(Policy::none())
+            .default_headers(headers)
+            .build();
         let attributes = resource.iter().map(|(key, value)| KeyValue {
             key: key.to_string(),
             value: Some(value.clone().into()),
@@ -87,18 +95,25 @@ impl Pusher {
         let message = ExportMetricsServiceRequest { resource_metrics: vec![all] };
         let request = self.client.post(&self.url).header(CONTENT_TYPE, "application/x-protobuf");
         let answer = request.body(message.encode_to_vec()).send().await;
-        let answer = answer.map_err(|error| error.to_string())?;
+        let mut answer = answer.map_err(|error| error.to_string())?;
         if !answer.status().is_success() {
             return Err(format!("{}: {}", self.url, answer.status()));
         }
         // A collector may take a part.
-        let taken = answer.bytes().await.ok();
-        let taken = taken.and_then(|body| ExportMetricsServiceResponse::decode(body).ok());
+        let mut body = Vec::new();
+        while let Ok(Some(piece)) = answer.chunk().await {
+            if body.len() + piece.len() > MOST_ANSWER {
+                return Err(format!("{}: the answer is too long", self.url));
+            }
+            body.extend_from_slice(&piece);
+        }
+        let taken = ExportMetricsServiceResponse::decode(&body[..]).ok();
         match taken.and_then(|taken| taken.partial_success) {
-            Some(partial) if partial.rejected_data_points > 0 => Err(format!(
-                "{}: {} values are refused: {}",
-                self.url, partial.rejected_data_points, partial.error_message
-            )),
+            Some(partial) if partial.rejected_data_points > 0 => {
+                let why: String = partial.error_message.chars().take(200).collect();
+                let count = partial.rejected_data_points;
+                Err(format!("{}: {count} values are refused: {why}", self.url))
+            }
             _ => Ok(()),
         }
     }
