@@ -166,10 +166,10 @@ mod tests {
     async fn damaged_assets_are_refused() {
         let here = tempfile::tempdir().unwrap();
         let store = Store::open(here.path().join("store").to_str().unwrap()).unwrap();
-        let file = here.path().join("a.ply");
-        std::fs::write(&file, "ply").unwrap();
         let sha256 = manifest::checksum(b"something else");
-        store.put_asset(&sha256, &file).await.unwrap();
+        let assets = here.path().join("store/assets");
+        std::fs::create_dir(&assets).unwrap();
+        std::fs::write(assets.join(&sha256), "ply").unwrap();
         let files = vec![BundledFile { path: "a.ply".to_owned(), bytes: 3, sha256 }];
         let bundle = Bundle { main: "a.ply".to_owned(), base: None, up: None, files };
         let refused = unpack(&store, &bundle, &here.path().join("there")).await.unwrap_err();
