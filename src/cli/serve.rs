@@ -6,7 +6,7 @@
 
 use std::io::IsTerminal;
 use std::net::{SocketAddr, TcpListener, ToSocketAddrs};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, bail, ensure};
@@ -342,10 +342,13 @@ pub(super) fn init_log(format: LogFormat) {
 /// Completes `args` with the settings of the file that it names.
 fn with_file(args: ServeArgs) -> anyhow::Result<ServeArgs> {
     let Some(path) = args.config.clone() else { return Ok(args) };
-    let text = std::fs::read_to_string(&path)
-        .with_context(|| format!("cannot read {}", path.display()))?;
+    let text = read_file(&path)?;
     let file = parse_file(&text).with_context(|| path.display().to_string())?;
     Ok(args.or(file))
+}
+
+fn read_file(path: &Path) -> anyhow::Result<String> {
+    std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))
 }
 
 pub(crate) fn parse_file(text: &str) -> anyhow::Result<ServeArgs> {

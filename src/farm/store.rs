@@ -2,7 +2,7 @@
 //!
 //! | name | content | written by |
 //! |---|---|---|
-//! | `assets/SHA256` | a file of a scene; removed when no film has needed it for a week | the daemon, once for all films |
+//! | `assets/SHA256` | a file of a scene; removed a week after it was last stored, unless a film needs it | the daemon, once for all films |
 //! | `films/FILM/order.json` | [`FilmOrder`](super::messages::FilmOrder); removed first when the film is over | the daemon |
 //! | `films/FILM/frames/TAG` | the image with this entity tag | workers |
 //! | `films/FILM/tries/FIRST-LAST` | how often these frames were begun | workers |

@@ -49,21 +49,27 @@ fn in_folder(use_folder: impl FnOnce(&Path)) {
     });
 }
 
+/// Calls `use_file` with a file of these bytes, unless they belong to another format than the extension's.
+fn in_file(extension: &str, data: &[u8], use_file: impl FnOnce(&Path)) {
+    let name = format!("a.{extension}");
+    if goes_by_extension(data, &name) {
+        in_folder(|folder| {
+            let path = folder.join(&name);
+            std::fs::write(&path, data).unwrap();
+            use_file(&path);
+        });
+    }
+}
+
 /// Reads a file with this extension. A file whose content belongs to another format is that format's target's.
 pub fn read_as(extension: &str, data: &[u8]) {
-    let name = format!("a.{extension}");
-    if !goes_by_extension(data, &name) {
-        return;
-    }
-    in_folder(|folder| {
-        let path = folder.join(&name);
-        std::fs::write(&path, data).unwrap();
-        let asset = checked(&path);
+    in_file(extension, data, |path| {
+        let asset = checked(path);
         let is_gzipped = data.starts_with(&[0x1f, 0x8b]);
         if !is_gzipped && data.len().is_multiple_of(GZIPPED_EVERY) {
             // Compression is seen by the content, so that the name, which warnings have, may stay.
-            std::fs::write(&path, gzipped(data)).unwrap();
-            match (&asset, &checked(&path)) {
+            std::fs::write(path, gzipped(data)).unwrap();
+            match (&asset, &checked(path)) {
                 (Some(plain), Some(gzipped)) => {
                     // How much of a compressed file is ignored is not known.
                     let content = |asset: &Asset| Asset { warnings: Vec::new(), ..asset.clone() };
@@ -238,16 +244,10 @@ fn check_lines(lines: &Polylines) {
 
 /// Reads points some at a time, and all at once.
 fn read_blocks(extension: &str, data: &[u8]) {
-    let name = format!("a.{extension}");
-    if !goes_by_extension(data, &name) {
-        return;
-    }
-    in_folder(|folder| {
-        let path = folder.join(&name);
-        std::fs::write(&path, data).unwrap();
+    in_file(extension, data, |path| {
         let options = options();
         let mut positions = Vec::new();
-        let blocks = PointBlocks::open(&path, &options).and_then(|blocks| {
+        let blocks = PointBlocks::open(path, &options).and_then(|blocks| {
             let Some(blocks) = blocks else { return Ok(false) };
             let survey = blocks.survey()?;
             let mut visit = |cloud: PointCloud| {
@@ -260,10 +260,10 @@ fn read_blocks(extension: &str, data: &[u8]) {
         match blocks {
             Ok(true) => {}
             Ok(false) => return,
-            Err(error) => return refused(&error, &path),
+            Err(error) => return refused(&error, path),
         }
         // A whole file may be refused for what a piece of it does not need.
-        let Some(asset) = checked(&path) else { return };
+        let Some(asset) = checked(path) else { return };
         let [Geometry::Points(points)] = &asset.geometries[..] else {
             panic!("a file of points is {} geometries", asset.geometries.len())
         };

@@ -40,11 +40,21 @@ fn read(data: &[u8]) {
 
 /// Packs what a file of any format holds, and makes point trees of its points. What is packed can be kept and drawn.
 fn pack(data: &[u8]) {
+    each_packed(data, |packed| {
+        let refusal = Entry::of(&[packed]).err();
+        assert!(refusal.is_none(), "what is packed cannot be kept: {refusal:?}");
+    });
+}
+
+/// Calls `use_packed` with what is packed of a file of any format, and with the point trees of its points.
+fn each_packed(data: &[u8], mut use_packed: impl FnMut(PackedGeometry)) {
     let Some(asset) = any_asset(data) else { return };
     for geometry in &asset.geometries {
         let packed = match geometry {
             Geometry::Points(cloud) => {
-                keep(build_tree(cloud, None).ok().map(PackedGeometry::Samples));
+                if let Ok(tree) = build_tree(cloud, None) {
+                    use_packed(PackedGeometry::Samples(tree));
+                }
                 pack_samples(cloud).map(PackedGeometry::Samples)
             }
             Geometry::Mesh(mesh) => {
@@ -52,38 +62,23 @@ fn pack(data: &[u8]) {
             }
             Geometry::Lines(lines) => pack_lines(lines).map(PackedGeometry::Lines),
         };
-        keep(packed.ok());
+        if let Ok(packed) = packed {
+            use_packed(packed);
+        }
     }
-}
-
-fn keep(packed: Option<PackedGeometry>) {
-    let Some(packed) = packed else { return };
-    let packed = [packed];
-    let refusal = Entry::of(&packed).err();
-    assert!(refusal.is_none(), "what is packed cannot be kept: {refusal:?}");
 }
 
 /// Returns entries, as [`read`] takes them, of what is packed of files.
 #[cfg(test)]
 pub fn entries<'a>(files: impl Iterator<Item = &'a [u8]>) -> Vec<Vec<u8>> {
     let mut entries = Vec::new();
-    for asset in files.filter_map(any_asset) {
-        for geometry in &asset.geometries {
-            let packed = match geometry {
-                Geometry::Points(cloud) => {
-                    build_tree(cloud, None).ok().map(PackedGeometry::Samples)
-                }
-                Geometry::Mesh(mesh) => {
-                    pack_mesh(mesh, &asset.materials).ok().map(PackedGeometry::Triangles)
-                }
-                Geometry::Lines(lines) => pack_lines(lines).ok().map(PackedGeometry::Lines),
-            };
-            let Some(packed) = packed else { continue };
+    for data in files {
+        each_packed(data, |packed| {
             let mut bytes = Vec::new();
             Entry::of(&[packed]).unwrap().write(&mut bytes, &KEY).unwrap();
             bytes.truncate(bytes.len() - TRAILER_BYTES as usize);
             entries.push(bytes);
-        }
+        });
     }
     entries
 }

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use anyhow::{Context, ensure};
 
-use super::{ServeArgs, access, number, with_file};
+use super::{ServeArgs, access, number, parse_file, read_file};
 use crate::http::journal::Journal;
 use crate::http::rules::{Bounds, Reader, Reread};
 use crate::http::telemetry::Telemetry;
@@ -129,10 +129,13 @@ pub(super) fn reread(given: &ServeArgs, args: &ServeArgs, address: SocketAddr) -
         }),
         bounds: given.config.as_ref().map(|path| {
             let (given, path) = (given.clone(), path.clone());
-            let begun_with = file_table(&path).unwrap_or_default();
+            let table = |text: &str| text.parse::<toml::Table>().unwrap_or_default();
+            let begun_with = table(&read_file(&path).unwrap_or_default());
             reader(move || {
-                let bounds = bounds(&with_file(given.clone())?)?;
-                for name in waiting_changes(&begun_with, &file_table(&path)?) {
+                let text = read_file(&path)?;
+                let file = parse_file(&text).with_context(|| path.display().to_string())?;
+                let bounds = bounds(&given.clone().or(file))?;
+                for name in waiting_changes(&begun_with, &table(&text)) {
                     tracing::warn!(
                         "the setting {name} has changed in the file; it needs a restart"
                     );
@@ -141,11 +144,6 @@ pub(super) fn reread(given: &ServeArgs, args: &ServeArgs, address: SocketAddr) -
             })
         }),
     }
-}
-
-fn file_table(path: &Path) -> anyhow::Result<toml::Table> {
-    let text = std::fs::read_to_string(path);
-    Ok(text.with_context(|| format!("cannot read {}", path.display()))?.parse()?)
 }
 
 /// Returns the settings that a file's reload does not put in force although they have changed.
