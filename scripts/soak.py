@@ -184,8 +184,12 @@ class Soak:
         self.look_for_rests()
         for slot in self.world.slots:
             slot.forget()
+        # A device keeps buffers as large as its largest frame needed. New ones begin alike.
+        if "lose_device" not in self.options.without:
+            for name in ("daemon", "worker-0"):
+                self.cluster.lose_device(name)
         # Connections of clients that vanished end, and the allocator gives back what it gives back.
-        time.sleep(1)
+        time.sleep(2)
         self.memory.sample(self.cluster)
         self.world.count("cycles")
         self.say(

@@ -199,7 +199,8 @@ class Faults(Actor):
 
 
 class Memory:
-    """Resident memory, open files and threads of each process, at equal points of the cycle."""
+    """Memory, open files and threads of each process, at equal points of the cycle. Memory is what a process has for itself: pages of files,
+    such as the program's own, come and go as the system likes."""
 
     def __init__(self):
         self.series = {}
@@ -210,7 +211,8 @@ class Memory:
                 continue
             status = dict(line.split(":", 1) for line in open(f"/proc/{process.pid}/status"))
             files = len(os.listdir(f"/proc/{process.pid}/fd"))
-            sample = (int(status["VmRSS"].split()[0]), files, int(status["Threads"]))
+            kib = sum(int(status[kind].split()[0]) for kind in ("RssAnon", "RssShmem"))
+            sample = (kib, files, int(status["Threads"]))
             self.series.setdefault((name, process.pid), []).append(sample)
 
     @staticmethod

@@ -20,7 +20,7 @@ override SORT: u32 = 0u;
 const SORT_OPAQUE: u32 = 1u;
 const SORT_TRANSLUCENT: u32 = 2u;
 
-// Instances may have translucent colours of their own; what has no alpha at all is not there.
+// Instances may have translucent materials of their own; what has no alpha at all is not there.
 fn is_of_sort(chunk: Chunk, over_plus_one: u32) -> bool {
     if SORT == 0u {
         return true;
@@ -30,7 +30,8 @@ fn is_of_sort(chunk: Chunk, over_plus_one: u32) -> bool {
     if over_plus_one != 0u {
         let over = materials[over_plus_one - 1u];
         let alpha = select(1.0, over.base_color.a, (over.overrides & OVERRIDE_BASE_COLOR) != 0u);
-        translucent = translucent || alpha < 1.0;
+        // Zero where the instance says nothing of it.
+        translucent = translucent || alpha < 1.0 || over.transmission > 0.0;
         is_clear = alpha <= 0.0;
     }
     return translucent == (SORT == SORT_TRANSLUCENT) && !is_clear;

@@ -4,11 +4,20 @@
 //!include shared/colour
 //!include shared/over
 //!include shared/window
+//!include shared/transmits
 
 @group(0) @binding(1) var<storage, read> fragments: array<vec2<u32>>;
 @group(0) @binding(2) var<storage, read_write> pixels: array<u32>;
 @group(0) @binding(3) var<storage, read> covered: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
+
+// The word of a pixel that shows `over` before what it showed, of each channel of which a part is hidden.
+fn word_through(over: vec4<f32>, hidden: vec3<f32>, word: u32) -> u32 {
+    let below = unpack4x8unorm(word).a;
+    let alpha = over.a + below * (1.0 - over.a);
+    let color = (over.rgb + below * (vec3<f32>(1.0) - hidden) * linear_color(word)) / alpha;
+    return pack4x8unorm(vec4<f32>(srgb_from_linear(color), alpha));
+}
 
 @compute @workgroup_size(64)
 fn composite_layers(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
@@ -25,5 +34,9 @@ fn composite_layers(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invo
     if over.a <= 0.0 {
         return;
     }
-    pixels[pixel] = word_over(over, pixels[pixel]);
+    if TRANSMITS {
+        pixels[pixel] = word_through(over, covered[place_in(1u, pixel)].rgb, pixels[pixel]);
+    } else {
+        pixels[pixel] = word_over(over, pixels[pixel]);
+    }
 }

@@ -6,6 +6,7 @@
 //!include shared/texture
 //!include shared/normals
 //!include shared/resolve
+//!include shared/transmits
 
 @group(1) @binding(5) var<storage, read> textures: array<Texture>;
 @group(1) @binding(6) var<storage, read> texels_0: array<u32>;
@@ -196,6 +197,9 @@ fn resolve(column: Column, shown: Shown, corners: Corners) {
             let open = map_values(material.occlusion_map, at, vec3<f32>(1.0)).r;
             surface.taken = vec3<f32>(1.0) - vec3<f32>(open, reflection.gb);
             surface.dimmed = vec3<f32>(1.0) - map_values(material.emissive_map, at, vec3<f32>(1.0));
+            if TRANSMITS {
+                surface.stopped = 1.0 - map_values(material.transmission_map, at, vec3<f32>(1.0)).r;
+            }
         }
         let color = surface_color(corners, shown.material, w);
         surface.alpha = clamp(color.a, 0.0, 1.0);

@@ -70,7 +70,7 @@ fn write_output(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocati
                 ambient_share = open_share(column.at, column.pixel);
             }
             if SHADED && !is_lit {
-                surface.color = lit_color(surface, column.at);
+                surface.color = lit_color(surface, material_of(surface), column.at);
             } else if !is_lit {
                 surface.color = unlit_color(surface.color);
             }

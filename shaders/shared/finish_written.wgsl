@@ -9,7 +9,7 @@ fn finish(pixel: u32, at: vec2<u32>, surface: Surface) {
     var shown = surface;
     shown.color = recoloured(surface, at);
     if SHADED {
-        shown.color = lit_color(shown, at);
+        shown.color = lit_color(shown, material_of(shown), at);
     }
     finish_lit(pixel, at, shown);
 }

@@ -18,8 +18,8 @@ fn unlit_color(color: vec3<f32>) -> vec3<f32> {
     return color;
 }
 
-// The linear colour of a surface under all lights; `at`: its pixel.
-fn lit_color(surface: Surface, at: vec2<u32>) -> vec3<f32> {
+// The material of a surface, with what its maps say there.
+fn material_of(surface: Surface) -> Material {
     var material: Material;
     if MATERIALS {
         material = materials[chunks[slots[frame.first_slot + surface.slot].chunk].material];
@@ -27,14 +27,22 @@ fn lit_color(surface: Surface, at: vec2<u32>) -> vec3<f32> {
     if OVERRIDES {
         material = effective_material(material, instances[slots[frame.first_slot + surface.slot].instance].material);
     }
-    if (material.flags & MATERIAL_UNLIT) != 0u {
-        return unlit_color(surface.color);
-    }
     if MAPS {
         mapped_share = 1.0 - material.occlusion_strength * surface.taken.x;
         material.roughness *= 1.0 - surface.taken.y;
         material.metallic *= 1.0 - surface.taken.z;
         material.emissive *= vec3<f32>(1.0) - surface.dimmed;
+        if TRANSMITS {
+            material.transmission *= 1.0 - surface.stopped;
+        }
+    }
+    return material;
+}
+
+// The linear colour of a surface under all lights; `at`: its pixel.
+fn lit_color(surface: Surface, material: Material, at: vec2<u32>) -> vec3<f32> {
+    if (material.flags & MATERIAL_UNLIT) != 0u {
+        return unlit_color(surface.color);
     }
     // Normals are as exact as where a later pass computes light.
     let packed = octahedral_encode(surface.normal);

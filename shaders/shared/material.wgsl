@@ -25,7 +25,12 @@ struct Material {
     occlusion_strength: f32,
     // Reflectance at grazing angles where the surface is no metal.
     grazing: f32,
-    unused: u32,
+    // Share of the light that is not reflected which passes in place of being scattered, where the surface is no metal.
+    transmission: f32,
+    // What the volume behind the surface leaves of the light that passes.
+    volume: vec3<f32>,
+    // Texture plus one, or 0.
+    transmission_map: u32,
 }
 
 // Some material has maps beside that of its colour.
@@ -36,6 +41,8 @@ const MATERIAL_UNLIT: u32 = 2u;
 const MATERIAL_ALPHA_TEST: u32 = 4u;
 // Surfaces reflect as the metallic-roughness model has it, and not as Phong's.
 const MATERIAL_PHYSICAL: u32 = 8u;
+// Alpha does not say how much the surface hides.
+const MATERIAL_SOLID: u32 = 16u;
 
 const OVERRIDE_BASE_COLOR: u32 = 1u;
 const OVERRIDE_SPECULAR: u32 = 2u;
@@ -45,6 +52,7 @@ const OVERRIDE_DOUBLE_SIDED: u32 = 16u;
 const OVERRIDE_METALLIC: u32 = 32u;
 const OVERRIDE_ROUGHNESS: u32 = 64u;
 const OVERRIDE_EMISSIVE: u32 = 128u;
+const OVERRIDE_TRANSMISSION: u32 = 256u;
 
 fn effective_material(own: Material, over_plus_one: u32) -> Material {
     if over_plus_one == 0u {
@@ -54,6 +62,7 @@ fn effective_material(own: Material, over_plus_one: u32) -> Material {
     var m = own;
     if (over.overrides & OVERRIDE_BASE_COLOR) != 0u {
         m.base_color = over.base_color;
+        m.flags = select(m.flags, m.flags & ~MATERIAL_SOLID, over.base_color.a < 1.0);
     }
     if (over.overrides & OVERRIDE_SPECULAR) != 0u {
         m.specular = over.specular;
@@ -64,7 +73,7 @@ fn effective_material(own: Material, over_plus_one: u32) -> Material {
     if (over.overrides & (OVERRIDE_SPECULAR | OVERRIDE_SHININESS)) != 0u {
         m.flags &= ~MATERIAL_PHYSICAL;
     }
-    if (over.overrides & (OVERRIDE_METALLIC | OVERRIDE_ROUGHNESS)) != 0u {
+    if (over.overrides & (OVERRIDE_METALLIC | OVERRIDE_ROUGHNESS | OVERRIDE_TRANSMISSION)) != 0u {
         m.flags |= MATERIAL_PHYSICAL;
     }
     if (over.overrides & OVERRIDE_METALLIC) != 0u {
@@ -72,6 +81,9 @@ fn effective_material(own: Material, over_plus_one: u32) -> Material {
     }
     if (over.overrides & OVERRIDE_ROUGHNESS) != 0u {
         m.roughness = over.roughness;
+    }
+    if (over.overrides & OVERRIDE_TRANSMISSION) != 0u {
+        m.transmission = over.transmission;
     }
     if (over.overrides & OVERRIDE_EMISSIVE) != 0u {
         m.emissive = over.emissive;

@@ -1,6 +1,8 @@
 // Metallic-roughness reflection: Lambert's model under Fresnel's, with the GGX distribution, Smith's height-correlated visibility and Schlick's
 // approximation (glTF 2.0, appendix B). As for Phong's model, a white Lambertian surface that faces a light of 1 reflects 1.
 
+//!include shared/transmits
+
 // Smoother surfaces reflect as this rough ones: their lobe would be narrower than single precision can tell.
 const LEAST_ROUGHNESS: f32 = 0.045;
 
@@ -12,6 +14,25 @@ fn facing_reflectance(albedo: vec3<f32>, material: Material) -> vec3<f32> {
 // At grazing angles.
 fn grazing_reflectance(material: Material) -> f32 {
     return mix(material.grazing, 1.0, material.metallic);
+}
+
+// The part of the light below the surface that comes back: neither taken up by a metal nor gone through.
+fn scattered_share(material: Material) -> f32 {
+    let share = 1.0 - material.metallic;
+    if TRANSMITS {
+        return share * (1.0 - material.transmission);
+    }
+    return share;
+}
+
+// The share of the light from behind that passes (KHR_materials_transmission), straight on: light is not refracted, and roughness does not
+// spread it. `n` is zero where the surface has no normal, and then nothing is reflected.
+fn passing_light(albedo: vec3<f32>, material: Material, n: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
+    let f0 = facing_reflectance(albedo, material);
+    let m = 1.0 - clamp(dot(n, to_eye), 0.0, 1.0);
+    let fresnel = f0 + (vec3<f32>(grazing_reflectance(material)) - f0) * (m * m * m * m * m);
+    let reflected = select(vec3<f32>(0.0), fresnel, any(n != vec3<f32>(0.0)));
+    return (vec3<f32>(1.0) - reflected) * albedo * material.volume * (material.transmission * (1.0 - material.metallic));
 }
 
 fn reflected_light(albedo: vec3<f32>, material: Material, n: vec3<f32>, to_light: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
@@ -32,7 +53,7 @@ fn reflected_light(albedo: vec3<f32>, material: Material, n: vec3<f32>, to_light
     let visibility = 0.5 / (nl * sqrt(nv * nv * (1.0 - squared) + squared) + nv * sqrt(nl * nl * (1.0 - squared) + squared));
     let m = 1.0 - clamp(dot(to_eye, h), 0.0, 1.0);
     let fresnel = f0 + (vec3<f32>(grazing_reflectance(material)) - f0) * (m * m * m * m * m);
-    let diffuse = albedo * (1.0 - material.metallic);
+    let diffuse = albedo * scattered_share(material);
     return mix(diffuse, vec3<f32>(distribution * visibility), fresnel) * nl;
 }
 
@@ -83,7 +104,7 @@ fn ambient_shares(albedo: vec3<f32>, material: Material, n: vec3<f32>, to_eye: v
     let missing = 1.0 - share.x;
     let mean = f0 + (f90 - f0) / 21.0;
     let again = missing * once * mean / (vec3<f32>(1.0) - mean * missing);
-    let diffuse = albedo * (1.0 - material.metallic);
+    let diffuse = albedo * scattered_share(material);
     return AmbientShares(once, again + diffuse * (vec3<f32>(1.0) - once - again));
 }
 

@@ -21,6 +21,8 @@ struct Surface {
     taken: vec3<f32>,
     // The same of the light that the surface gives off.
     dimmed: vec3<f32>,
+    // The same of the light that passes it.
+    stopped: f32,
 }
 
 // Light is computed for each pixel, from its normal.

@@ -282,7 +282,7 @@ pub struct Material {
     pub unlit: bool,
     /// Fragments with less alpha are not there; `None` draws everything.
     pub alpha_cutoff: Option<f32>,
-    /// Surfaces behind it show through, by 1 − alpha.
+    /// Surfaces behind it show through: by 1 − alpha where it [blends](Material::blends), and by [`Physical::transmission`].
     pub translucent: bool,
 }
 
@@ -299,6 +299,13 @@ pub struct Physical {
     pub grazing: f32,
     /// Index into [`Asset::textures`]; green is a factor of the roughness, blue of the metallic value.
     pub map: Option<u32>,
+    /// Share of the light that is not reflected which passes the surface in place of being scattered below it (KHR_materials_transmission);
+    /// 0 for metals. Surfaces that let light pass are [`Material::translucent`].
+    pub transmission: f32,
+    /// Index into [`Asset::textures`]; red is a factor of the transmission.
+    pub transmission_map: Option<u32>,
+    /// What the volume behind the surface leaves of the light that passes, linear RGB (KHR_materials_volume).
+    pub volume: [f32; 3],
 }
 
 /// Reflectance at normal incidence of most dielectrics: that of an index of refraction of 1.5.
@@ -306,7 +313,16 @@ pub const DIELECTRIC: f32 = 0.04;
 
 impl Default for Physical {
     fn default() -> Self {
-        Self { metallic: 0.0, roughness: 1.0, dielectric: [DIELECTRIC; 3], grazing: 1.0, map: None }
+        Self {
+            metallic: 0.0,
+            roughness: 1.0,
+            dielectric: [DIELECTRIC; 3],
+            grazing: 1.0,
+            map: None,
+            transmission: 0.0,
+            transmission_map: None,
+            volume: [1.0; 3],
+        }
     }
 }
 
@@ -334,16 +350,28 @@ impl Material {
         is_metal || self.unlit || self.emissive != [0.0; 3]
     }
 
+    /// Whether alpha says how much it hides. Otherwise it is there wholly where [`Material::alpha_cutoff`] leaves it.
+    pub fn blends(&self) -> bool {
+        self.alpha_cutoff == Some(LEAST_ALPHA)
+    }
+
+    /// Whether light passes it in place of being scattered.
+    pub fn transmits(&self) -> bool {
+        !self.unlit && self.physical.is_some_and(|own| own.transmission > 0.0)
+    }
+
     /// Whether textures tell more of it than its colour.
     pub fn has_maps(&self) -> bool {
-        let own = self.physical.is_some_and(|own| own.map.is_some());
+        let own =
+            self.physical.is_some_and(|own| own.map.is_some() || own.transmission_map.is_some());
         own || self.emissive_map.is_some()
             || self.normal_map.is_some()
             || self.occlusion_map.is_some()
     }
 }
 
-/// Least alpha of translucent fragments: white with less over black stays black in eight bits.
+/// Least alpha of translucent fragments, the cut-off of materials that [blend](Material::blends): white with less over black stays black in
+/// eight bits.
 pub const LEAST_ALPHA: f32 = 1.0 / 8192.0;
 
 impl Default for Material {

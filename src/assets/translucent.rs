@@ -1,5 +1,5 @@
 //! Corrects which triangles are translucent. In formats without materials, the alpha of their vertices decides. Materials whose alpha is
-//! 1 everywhere are opaque.
+//! 1 everywhere and which transmit no light are opaque.
 
 use super::{
     Asset, AssetError, Geometry, LEAST_ALPHA, Material, Mesh, MeshPart, ReadOptions, texture,
@@ -28,9 +28,10 @@ pub(super) fn drop_without_alpha(asset: &mut Asset) {
         let texture = material.base_texture.and_then(|number| textures.get(number as usize));
         let has_alpha =
             by_vertices || material.base_color[3] < 1.0 || texture.is_some_and(texture::has_alpha);
-        if !has_alpha {
-            (material.translucent, material.alpha_cutoff) = (false, None);
+        if material.blends() && !has_alpha {
+            material.alpha_cutoff = None;
         }
+        material.translucent = material.blends() || material.transmits();
     }
 }
 

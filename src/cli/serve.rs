@@ -270,12 +270,15 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     let jobs_config = jobs_config(&args)?;
     let farm = farm_store(&args)?;
     let is_taken = |error: &std::io::Error| error.kind() == std::io::ErrorKind::AddrInUse;
-    let bind = |address: SocketAddr| {
+    let bind = |option: &str, address: SocketAddr| {
         patiently(patience(), is_taken, || TcpListener::bind(address))
-            .with_context(|| format!("cannot listen on {address}"))
+            .with_context(|| format!("--{option}: cannot listen on {address}"))
     };
-    let listener = passed.map_or_else(|| bind(address), Ok)?;
-    let monitoring = monitoring.map(bind).transpose()?;
+    if address.port() != 0 && monitoring == Some(address) {
+        anyhow::bail!("--metrics-listen: {address} is the address of --listen; give another port");
+    }
+    let listener = passed.map_or_else(|| bind("listen", address), Ok)?;
+    let monitoring = monitoring.map(|address| bind("metrics-listen", address)).transpose()?;
     let claim = if settings.uploads.are_kept() { claim(&root)? } else { None };
     let engine = Engine::start(engine_config(&args, root)?)?;
     tracing::info!(adapter = engine.adapter(), "engine started");
@@ -322,8 +325,9 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
 pub(super) fn init_log(format: LogFormat) {
     use tracing_subscriber::EnvFilter;
     use tracing_subscriber::fmt::format::FmtSpan;
-    let filter = EnvFilter::try_from_env("POINTILLIST_LOG")
-        .unwrap_or_else(|_| EnvFilter::new("info,wgpu_core=warn,wgpu_hal=warn,naga=warn"));
+    let filter = EnvFilter::try_from_env("POINTILLIST_LOG").unwrap_or_else(|_| {
+        EnvFilter::new("info,wgpu_core=warn,wgpu_hal=warn,naga=warn,async_nats=error")
+    });
     let log = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_ansi(std::io::stderr().is_terminal())

@@ -28,7 +28,7 @@ pub struct WorkerArgs {
     /// Certificates, in PEM form, that sign the NATS server's own; requires TLS
     #[arg(long, env = "POINTILLIST_NATS_CA", value_name = "FILE")]
     nats_ca: Option<PathBuf>,
-    /// Folder, or s3://BUCKET/PREFIX, that the daemon and all workers share
+    /// Existing folder, or s3://BUCKET/PREFIX, that the daemon and all workers share
     #[arg(long, env = "POINTILLIST_STORE", value_name = "FOLDER_OR_URL")]
     store: String,
     /// Cache folder for point trees [default: `pointillist` in the user's cache folder]
@@ -121,6 +121,10 @@ pub fn run(args: WorkerArgs) -> anyhow::Result<()> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     runtime.block_on(async {
         let signal = stop_signal()?;
+        store
+            .try_writing(&crate::engine::RequestId::fresh().to_string())
+            .await
+            .context("a worker must be able to write to the store")?;
         let worker = Worker::new(&address, store, engine.clone(), &root).await?;
         say!("drawing frames on {} for {}", engine.adapter(), address.without_secrets());
         let stop = Arc::new(AtomicBool::new(false));

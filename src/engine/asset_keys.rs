@@ -276,9 +276,22 @@ fn digest_material(hasher: &mut Sha256, material: &Material) {
     optional(emissive_map.as_ref().map(std::slice::from_ref));
     optional(Some(&emissive.map(f32::to_bits)));
     optional(physical.map(|_| &[][..]));
-    if let Some(Physical { metallic, roughness, dielectric: [r, g, b], grazing, map }) = *physical {
-        optional(Some(&[metallic, roughness, r, g, b, grazing].map(f32::to_bits)));
-        optional(map.as_ref().map(std::slice::from_ref));
+    if let Some(physical) = *physical {
+        let Physical {
+            metallic,
+            roughness,
+            dielectric: [r, g, b],
+            grazing,
+            map,
+            transmission,
+            transmission_map,
+            volume,
+        } = physical;
+        optional(Some(&[metallic, roughness, r, g, b, grazing, transmission].map(f32::to_bits)));
+        optional(Some(&volume.map(f32::to_bits)));
+        for map in [map, transmission_map] {
+            optional(map.as_ref().map(std::slice::from_ref));
+        }
     }
 }
 

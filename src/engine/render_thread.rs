@@ -54,6 +54,7 @@ pub fn run(state: &Arc<EngineState>, opened: impl FnOnce(Result<(), GpuError>)) 
                     // The thread that is replaced still has the lost device.
                     drop(primer);
                     renderer = fresh;
+                    rayon::spawn(memory::release_unused);
                     primer = Primer::start(state, &renderer);
                 }
                 None => break,

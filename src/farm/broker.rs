@@ -7,17 +7,24 @@
 //! which the caller tries again.
 
 use std::path::PathBuf;
-use std::time::Duration;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
 
+use async_nats::connection::State;
 use async_nats::jetstream::consumer::{AckPolicy, PullConsumer, pull};
 use async_nats::jetstream::context::Context;
 use async_nats::jetstream::message::PublishMessage;
 use async_nats::jetstream::stream::{self, RetentionPolicy, StorageType};
 use async_nats::jetstream::{self, Message};
-use async_nats::{Client, ConnectOptions, Subscriber};
+use async_nats::{Client, ClientError, ConnectOptions, Event, ServerAddr, Subscriber};
 use bytes::Bytes;
 use futures::StreamExt;
+use parking_lot::Mutex;
+use percent_encoding::percent_decode_str;
 use serde::Serialize;
+use tokio::net::TcpStream;
+use tokio_rustls::rustls::pki_types::CertificateDer;
+use tokio_rustls::rustls::pki_types::pem::PemObject;
 
 use super::messages::{RUNS, Run, STREAM, runs, runs_of};
 use super::pacing::{ACK_WAIT, PULL};
@@ -32,6 +39,10 @@ const DUPLICATES: Duration = Duration::from_secs(120);
 const LOOKS: usize = 5;
 /// Pause before a count of runs is repeated.
 const LOOK_AGAIN: Duration = Duration::from_millis(500);
+/// Time limit of a look at whether the server takes connections.
+const PROBE: Duration = Duration::from_secs(2);
+/// Interval at which the log repeats a failure that lasts.
+pub(super) const SAY_AGAIN: Duration = Duration::from_secs(60);
 /// Age at which the server forgets a run that nobody draws.
 const MOST_AGE: Duration = Duration::from_secs(14 * 24 * 3600);
 /// Runs that workers of a kind may draw at a time.
@@ -68,6 +79,8 @@ impl Address {
 pub enum BrokerError {
     #[error("--nats-credentials {}: {error}", file.display())]
     Credentials { file: PathBuf, error: std::io::Error },
+    #[error("--nats-ca {}: {error}; expected certificates in PEM form", file.display())]
+    Ca { file: PathBuf, error: String },
     #[error("--nats {url}: {error}; expected nats://HOST:PORT")]
     Address { url: String, error: String },
     #[error("the NATS server did not do what it was asked ({what}): {error}")]
@@ -75,7 +88,93 @@ pub enum BrokerError {
 }
 
 fn failed<E: std::fmt::Display>(what: &'static str) -> impl FnOnce(E) -> BrokerError {
-    move |error| BrokerError::Request { what, error: error.to_string() }
+    move |error| {
+        let mut error = error.to_string();
+        if error.contains("jetstream")
+            && (error.contains("not enabled") || error.contains("unavailable"))
+        {
+            error.push_str("; start nats-server with -js");
+        }
+        BrokerError::Request { what, error }
+    }
+}
+
+/// Checks that a file has certificates.
+fn check_certificates(file: &std::path::Path) -> Result<(), String> {
+    let certificates = CertificateDer::pem_file_iter(file).map_err(|error| error.to_string())?;
+    let mut found = 0;
+    for certificate in certificates {
+        certificate.map_err(|error| error.to_string())?;
+        found += 1;
+    }
+    if found == 0 { Err("there are none in the file".to_owned()) } else { Ok(()) }
+}
+
+/// A text that the log repeats only after a while.
+#[derive(Default)]
+pub(super) struct Said(Mutex<Option<(String, Instant)>>);
+
+impl Said {
+    /// Returns whether the text is new, or was last logged long ago.
+    pub fn is_due(&self, text: &str) -> bool {
+        let mut said = self.0.lock();
+        let is_known = |(known, at): &(String, Instant)| known == text && at.elapsed() < SAY_AGAIN;
+        if said.as_ref().is_some_and(is_known) {
+            return false;
+        }
+        *said = Some((text.to_owned(), Instant::now()));
+        true
+    }
+
+    pub fn forget(&self) {
+        *self.0.lock() = None;
+    }
+}
+
+/// Logs what happens to a connection.
+struct Reporter {
+    servers: Vec<ServerAddr>,
+    address: String,
+    has_tls: bool,
+    said: Said,
+}
+
+impl Reporter {
+    async fn hear(&self, event: Event) {
+        let address = &self.address;
+        let text = match event {
+            Event::Connected => {
+                self.said.forget();
+                tracing::info!("connected to the NATS server {address}");
+                return;
+            }
+            Event::Draining | Event::Closed => return,
+            Event::Disconnected => "the connection is broken, and is made again".to_owned(),
+            Event::ClientError(ClientError::Other(error)) => self.cause(&error).await,
+            event => event.to_string(),
+        };
+        if self.said.is_due(&text) {
+            tracing::warn!("NATS server {address}: {text}");
+        }
+    }
+
+    /// Why no connection is made. The client itself says no more than that it had an error.
+    async fn cause(&self, error: &str) -> String {
+        for server in &self.servers {
+            let place = (server.host(), server.port());
+            let tried = tokio::time::timeout(PROBE, TcpStream::connect(place)).await;
+            let reached = tried.unwrap_or_else(|_| Err(std::io::ErrorKind::TimedOut.into()));
+            if let Err(error) = reached {
+                return format!("{error}; the connection is tried again and again");
+            }
+        }
+        let hint = if self.has_tls {
+            "; it takes connections, so look at its log, and whether its certificate is for this name and signed by --nats-ca or by an authority that this system trusts"
+        } else {
+            "; it takes connections, so look at its log"
+        };
+        format!("{error}{hint}")
+    }
 }
 
 /// A connection; clones share it.
@@ -113,15 +212,26 @@ impl Broker {
             .map(|server| server.trim().parse())
             .collect::<Result<_, std::io::Error>>()
             .map_err(|error| unusable(error.to_string()))?;
+        let reporter = Arc::new(Reporter {
+            has_tls: address.ca.is_some() || servers.iter().any(ServerAddr::tls_required),
+            servers: servers.clone(),
+            address: address.without_secrets(),
+            said: Said::default(),
+        });
         let mut options = ConnectOptions::new()
             .name(name)
             .retry_on_initial_connect()
             .request_timeout(Some(REQUEST))
-            .event_callback(|event| async move { tracing::info!("NATS: {event}") });
+            .event_callback(move |event| {
+                let reporter = reporter.clone();
+                async move { reporter.hear(event).await }
+            });
         // The client does not look for a user in the address by itself.
         let user = servers.iter().find_map(|server| server.username().zip(server.password()));
         if let Some((user, password)) = user {
-            options = options.user_and_password(user.to_owned(), password.to_owned());
+            let [user, password] = [user, password]
+                .map(|text| percent_decode_str(text).decode_utf8_lossy().into_owned());
+            options = options.user_and_password(user, password);
         }
         if let Some(file) = &address.credentials {
             let read = options.credentials_file(file).await;
@@ -129,11 +239,18 @@ impl Broker {
                 read.map_err(|error| BrokerError::Credentials { file: file.clone(), error })?;
         }
         if let Some(file) = &address.ca {
+            check_certificates(file)
+                .map_err(|error| BrokerError::Ca { file: file.clone(), error })?;
             options = options.add_root_certificates(file.clone()).require_tls(true);
         }
         let client = options.connect(servers).await.map_err(|error| unusable(error.to_string()))?;
         let context = jetstream::new(client.clone());
         Ok(Broker { client, context })
+    }
+
+    /// Returns whether there is a connection now.
+    pub fn is_connected(&self) -> bool {
+        self.client.connection_state() == State::Connected
     }
 
     /// Creates the stream, and the consumer of a kind, unless they exist. For daemons only.
@@ -296,6 +413,28 @@ mod tests {
         assert_eq!(shown("nats://127.0.0.1:4222"), "nats://127.0.0.1:4222");
         assert_eq!(shown("tls://ann:p@ss@a:4222,tls://bob:x@b"), "tls://a:4222,tls://b");
         assert_eq!(shown("ann:secret@a"), "a");
+    }
+
+    #[tokio::test]
+    async fn certificates_are_looked_at_before_they_are_needed() {
+        let refusal = async |file: &str| {
+            let url = "tls://127.0.0.1:1".to_owned();
+            let address = Address { url, credentials: None, ca: Some(file.into()) };
+            Broker::connect(&address, "test").await.err().unwrap().to_string()
+        };
+        let missing = refusal("/no/such.pem").await;
+        assert!(missing.starts_with("--nats-ca /no/such.pem: "), "{missing}");
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let none = refusal(file.path().to_str().unwrap()).await;
+        assert!(none.contains("there are none in the file"), "{none}");
+    }
+
+    #[test]
+    fn what_lasts_is_said_once() {
+        let said = Said::default();
+        assert!(said.is_due("a") && !said.is_due("a") && said.is_due("b") && said.is_due("a"));
+        said.forget();
+        assert!(said.is_due("a"));
     }
 
     #[tokio::test]

@@ -10,15 +10,16 @@ use futures::{FutureExt, StreamExt, TryStreamExt, stream};
 use parking_lot::Mutex;
 use sha2::{Digest, Sha256};
 use tokio::runtime::Handle;
+use tokio::sync::OnceCell;
 
-use super::broker::{Address, Broker, BrokerError, Queued};
+use super::broker::{Address, Broker, BrokerError, Queued, Said};
 use super::bundle::{Hashes, pack};
 use super::desk::Desk;
 use super::messages::{BEATS, Beat, FilmOrder, Note, Run, notes};
 use super::pacing::{LIST_AFTER, MOST_NOTES, READS, TICK};
 use super::roster::Roster;
-use super::stopped;
 use super::store::{Store, StoreError};
+use super::{kind_of, stopped};
 use crate::engine::{Engine, RequestId};
 use crate::film::manifest::digits;
 use crate::film::{Drawn, FilmError, Keep};
@@ -52,7 +53,11 @@ struct Shared {
     runtime: Handle,
     /// Lasting name of this daemon.
     name: String,
-    kind: String,
+    /// Hash of what decides the pixels of this daemon's frames.
+    identity: String,
+    /// Known when the store has been reached.
+    kind: OnceCell<String>,
+    address: String,
     adapter: String,
     roster: Mutex<Roster>,
     queued: Mutex<Queued>,
@@ -85,7 +90,8 @@ impl Farm {
     ) -> Result<Farm, BrokerError> {
         let client_name = format!("pointillist daemon {name}");
         let broker = runtime.block_on(Broker::connect(address, &client_name))?;
-        let (kind, adapter) = (engine.identity(), engine.adapter());
+        let (identity, adapter) = (engine.identity(), engine.adapter());
+        let address = address.without_secrets();
         let roster = Mutex::new(Roster::default());
         let (queued, set_aside) = (Mutex::default(), AtomicU64::new(0));
         let films = AtomicU64::new(0);
@@ -96,7 +102,9 @@ impl Farm {
             store,
             runtime,
             name,
-            kind,
+            identity,
+            kind: OnceCell::new(),
+            address,
             adapter,
             roster,
             queued,
@@ -130,9 +138,18 @@ async fn hear_beats(shared: Arc<Shared>) {
 
 /// Counts queued runs now and then, for as long as the process lives.
 async fn count_queued(shared: Arc<Shared>) {
+    let said = Said::default();
     loop {
-        // Before the first film, there is no consumer, and nothing is queued.
-        let queued = shared.broker.queued(&shared.kind).await.unwrap_or_default();
+        let queued = match shared.kind().await {
+            // Before the first film, there is no consumer, and nothing is queued.
+            Ok(kind) => shared.broker.queued(kind).await.unwrap_or_default(),
+            Err(error) => {
+                if said.is_due(&error.to_string()) {
+                    tracing::warn!(%error, "films wait for the store");
+                }
+                Queued::default()
+            }
+        };
         *shared.queued.lock() = queued;
         tokio::time::sleep(COUNT_EVERY).await;
     }
@@ -161,9 +178,11 @@ impl Remote for Farm {
         let Queued { pending, drawing, redelivered } = *self.shared.queued.lock();
         let set_aside = self.shared.set_aside.load(Ordering::Relaxed);
         let roster = self.shared.roster.lock();
-        let workers = roster.of_kind(&self.shared.kind, now);
-        let other_workers = roster.others(&self.shared.kind, now).into_values().sum();
-        Load { workers, other_workers, pending, drawing, redelivered, set_aside }
+        let (kind, identity) = (self.shared.known_kind(), &self.shared.identity);
+        let workers = roster.of_kind(kind, now);
+        let other_workers = roster.others(kind, identity, now).into_values().sum();
+        let is_connected = self.shared.broker.is_connected();
+        Load { is_connected, workers, other_workers, pending, drawing, redelivered, set_aside }
     }
 
     fn draw(
@@ -175,6 +194,10 @@ impl Remote for Farm {
     ) -> Result<(), FilmError> {
         let shared = &self.shared;
         shared.runtime.block_on(async {
+            let kind = tokio::select! {
+                kind = shared.reach_store(tell) => kind,
+                () = stopped(stop) => return Ok(()),
+            };
             tell(Some("the scene's files are being stored for workers".to_owned()));
             let root = order.engine.root();
             let packed = pack(&root, &order.files, &shared.hashes, &shared.store);
@@ -185,10 +208,11 @@ impl Remote for Farm {
             let film_order = FilmOrder { spec: order.spec, scene };
             let text = serde_json::to_vec(&film_order);
             let text = text.map_err(|error| FilmError::Elsewhere(error.to_string()))?;
-            let film = shared.film_name(order.job, &text);
+            let film = shared.film_name(kind, order.job, &text);
             let desk = Desk::new(&film, order.frames);
             let collection = Collection {
                 shared,
+                kind,
                 film: film.clone(),
                 generation: RequestId::fresh().to_string(),
                 order: text,
@@ -196,6 +220,7 @@ impl Remote for Farm {
                 aside: BTreeMap::new(),
                 unqueued: None,
                 trouble: None,
+                said: Said::default(),
                 began: Instant::now(),
             };
             let sharing = Sharing::begin(&shared.films);
@@ -206,7 +231,7 @@ impl Remote for Farm {
             drop(sharing);
             // The frames are in the job's folder. A worker that still draws some finds no order and stops.
             let cleared = async {
-                let purged = shared.broker.purge(&shared.kind, &film).await;
+                let purged = shared.broker.purge(kind, &film).await;
                 shared.store.remove(&film).await?;
                 Ok::<(), Trouble>(purged?)
             };
@@ -221,9 +246,39 @@ impl Remote for Farm {
 }
 
 impl Shared {
+    /// Returns the kind of this daemon's workers.
+    ///
+    /// # Errors
+    /// The store cannot be reached.
+    async fn kind(&self) -> Result<&str, StoreError> {
+        let found = || async { Ok(kind_of(&self.identity, self.store.claim().await?)) };
+        Ok(self.kind.get_or_try_init(found).await?)
+    }
+
+    /// Returns the kind, which no worker has before the store has been reached.
+    fn known_kind(&self) -> &str {
+        self.kind.get().map(String::as_str).unwrap_or_default()
+    }
+
+    /// Waits for the store, and returns the kind.
+    async fn reach_store(&self, tell: &dyn Fn(Option<String>)) -> &str {
+        loop {
+            let reached = async {
+                let kind = self.kind().await?;
+                self.store.check().await?;
+                Ok::<&str, StoreError>(kind)
+            };
+            match reached.await {
+                Ok(kind) => return kind,
+                Err(error) => tell(Some(error.to_string())),
+            }
+            tokio::time::sleep(PAUSE).await;
+        }
+    }
+
     /// Names a film: by this daemon, the job, and everything that its frames share. After a kill, the next process finds the frames again.
-    fn film_name(&self, job: u64, order: &[u8]) -> String {
-        let mut hasher = Sha256::new_with_prefix(format!("{} {job} {} ", self.name, self.kind));
+    fn film_name(&self, kind: &str, job: u64, order: &[u8]) -> String {
+        let mut hasher = Sha256::new_with_prefix(format!("{} {job} {kind} ", self.name));
         hasher.update(order);
         digits(&hasher.finalize()[..16])
     }
@@ -248,6 +303,7 @@ impl Drop for Sharing<'_> {
 /// A film whose frames are being collected.
 struct Collection<'a> {
     shared: &'a Shared,
+    kind: &'a str,
     film: String,
     /// Distinguishes the messages of this process from those of an earlier one, which were removed from the queue.
     generation: String,
@@ -259,6 +315,7 @@ struct Collection<'a> {
     unqueued: Option<Run>,
     /// The latest failure, until a frame arrives.
     trouble: Option<String>,
+    said: Said,
     began: Instant,
 }
 
@@ -320,14 +377,17 @@ impl Collection<'_> {
     }
 
     async fn failed(&mut self, trouble: &Trouble) {
-        tracing::warn!(film = self.film, error = %trouble, "a film waits");
-        self.trouble = Some(trouble.to_string());
+        let text = trouble.to_string();
+        if self.said.is_due(&text) {
+            tracing::warn!(film = self.film, error = text, "a film waits");
+        }
+        self.trouble = Some(text);
         tokio::time::sleep(PAUSE).await;
     }
 
     /// Stores what workers need, and removes runs of an earlier process. Returns the film's notes.
     async fn prepare(&self) -> Result<async_nats::Subscriber, Trouble> {
-        let Shared { broker, store, kind, .. } = self.shared;
+        let (Shared { broker, store, .. }, kind) = (self.shared, self.kind);
         store.put_order(&self.film, self.order.clone()).await?;
         broker.prepare(kind).await?;
         let heard = broker.hear(&notes(&self.film)).await?;
@@ -337,7 +397,7 @@ impl Collection<'_> {
 
     /// Queues runs, as many as workers need.
     async fn queue(&mut self) -> Result<(), Trouble> {
-        let Shared { broker, kind, roster, films, .. } = self.shared;
+        let (Shared { broker, roster, films, .. }, kind) = (self.shared, self.kind);
         loop {
             let workers = roster.lock().of_kind(kind, Instant::now());
             let films = films.load(Ordering::Relaxed);
@@ -432,7 +492,7 @@ impl Collection<'_> {
         let now = Instant::now();
         let (runs, has_idle) = {
             let roster = self.shared.roster.lock();
-            (roster.runs_of(&self.film, now), roster.has_idle(&self.shared.kind, now))
+            (roster.runs_of(&self.film, now), roster.has_idle(self.kind, now))
         };
         self.desk.seen(&runs, now);
         let lost = self.desk.take_back(has_idle, now);
@@ -442,7 +502,7 @@ impl Collection<'_> {
                 lost,
                 "no worker has these runs; they are queued again"
             );
-            match self.shared.broker.mend(&self.shared.kind).await {
+            match self.shared.broker.mend(self.kind).await {
                 Ok(true) => {
                     tracing::warn!(
                         "the NATS server skipped queued runs; the daemon recreated the consumer"
@@ -462,22 +522,23 @@ impl Collection<'_> {
 
     /// Says what the film waits for.
     fn waits_for(&self) -> Option<String> {
+        if !self.shared.broker.is_connected() {
+            return Some(format!("the NATS server {}, which does not answer", self.shared.address));
+        }
         if let Some(trouble) = &self.trouble {
             return Some(trouble.clone());
         }
         let now = Instant::now();
         let roster = self.shared.roster.lock();
-        if self.began.elapsed() < PATIENCE || roster.of_kind(&self.shared.kind, now) > 0 {
+        if self.began.elapsed() < PATIENCE || roster.of_kind(self.kind, now) > 0 {
             return None;
         }
         let (adapter, version) = (&self.shared.adapter, crate::VERSION);
         let wanted =
             format!("a worker with the adapter {adapter} and this build of version {version}");
-        let others = roster.others(&self.shared.kind, now);
-        let seen: Vec<String> = others
-            .into_iter()
-            .map(|((adapter, version), count)| format!("{count} with {adapter}, version {version}"))
-            .collect();
+        let others = roster.others(self.kind, &self.shared.identity, now);
+        let seen: Vec<String> =
+            others.into_iter().map(|(what, count)| format!("{count} {what}")).collect();
         Some(match &seen[..] {
             [] => format!("{wanted}; there are no workers"),
             seen => format!("{wanted}; there are only others: {}", seen.join("; ")),

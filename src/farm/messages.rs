@@ -115,8 +115,11 @@ pub enum Note {
 pub struct Beat {
     /// Unique name of the process.
     pub worker: String,
-    /// Hash of what decides the pixels of its frames.
+    /// The worker's kind.
     pub kind: String,
+    /// Hash of what decides the pixels of its frames: the part of the kind that is not the store's.
+    #[serde(default)]
+    pub identity: String,
     pub adapter: String,
     pub version: String,
     /// The film and the run that it works on; `None`: it waits for work.

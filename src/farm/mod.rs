@@ -12,8 +12,8 @@
 //! a message of a JetStream work queue. A worker pulls one run at a time and reports progress while it draws, so that the server delivers
 //! the run of a killed worker to another one. It stores each frame under the frame's entity tag. If the run was begun before, it draws no frame that is already there.
 //!
-//! Frames of different adapters, drivers or builds never meet in a film. The hash of these three is a worker's **kind**
-//! ([`Engine::identity`](crate::engine::Engine::identity)); the queue delivers a run only to workers of the daemon's kind, and a worker draws a
+//! Frames of different adapters, drivers or builds never meet in a film. The hash of these three ([`Engine::identity`](crate::engine::Engine::identity))
+//! and the store's mark are a worker's **kind**; the queue delivers a run only to workers of the daemon's kind, and a worker draws a
 //! frame only if it computes the tag that the daemon expects.
 //!
 //! Whatever is killed, nothing is lost: runs are in the broker's files, frames in the store, the job on the daemon's disk. Notes may get
@@ -63,6 +63,11 @@ pub fn daemon_name(state: &Path) -> std::io::Result<String> {
     std::fs::write(&fresh, &name)?;
     std::fs::rename(fresh, file)?;
     Ok(name)
+}
+
+/// Returns the kind of workers that draw frames of an identity and share a store with this mark.
+fn kind_of(identity: &str, mark: &str) -> String {
+    format!("{identity}-{mark}")
 }
 
 /// Waits until `stop` is true.

@@ -33,11 +33,16 @@ impl Roster {
         self.alive(now).filter(|beat| beat.kind == kind).count() as u64
     }
 
-    /// Returns the number of workers of other kinds, by adapter and version.
-    pub fn others(&self, kind: &str, now: Instant) -> BTreeMap<(String, String), u64> {
+    /// Returns the number of workers of other kinds, by what distinguishes them.
+    pub fn others(&self, kind: &str, identity: &str, now: Instant) -> BTreeMap<String, u64> {
         let mut others = BTreeMap::new();
         for beat in self.alive(now).filter(|beat| beat.kind != kind) {
-            *others.entry((beat.adapter.clone(), beat.version.clone())).or_insert(0) += 1;
+            let what = if beat.identity == identity {
+                "with another store, or one that is not mounted".to_owned()
+            } else {
+                format!("with {}, version {}", beat.adapter, beat.version)
+            };
+            *others.entry(what).or_insert(0) += 1;
         }
         others
     }
@@ -67,6 +72,7 @@ mod tests {
         let beat = |worker: &str, kind: &str, busy: Option<u64>, idle_ms| Beat {
             worker: worker.to_owned(),
             kind: kind.to_owned(),
+            identity: kind[..1].to_owned(),
             adapter: format!("adapter {kind}"),
             version: "1".to_owned(),
             busy: busy.map(|run| ("f".to_owned(), run)),
@@ -80,8 +86,11 @@ mod tests {
         assert_eq!(roster.runs_of("f", at(2_000)), [7]);
         assert_eq!(roster.runs_of("g", at(2_000)), [0u64; 0]);
         assert!(!roster.has_idle("x", at(2_000)) && roster.has_idle("y", at(2_000)));
-        let others = BTreeMap::from([(("adapter y".to_owned(), "1".to_owned()), 1)]);
-        assert_eq!(roster.others("x", at(2_000)), others);
+        let others = BTreeMap::from([("with adapter y, version 1".to_owned(), 1)]);
+        assert_eq!(roster.others("x", "x", at(2_000)), others);
+        roster.hear(beat("e", "x-elsewhere", None, 0), at(2_000));
+        assert_eq!(roster.others("x", "x", at(2_000)).keys().len(), 2);
+        assert!(roster.others("x", "x", at(2_000)).keys().any(|what| what.contains("store")));
         roster.hear(beat("b", "x", None, 5_000), at(2_000));
         assert!(roster.has_idle("x", at(2_000)));
         assert_eq!((roster.of_kind("x", at(5_500)), roster.runs_of("f", at(5_500))), (1, vec![]));

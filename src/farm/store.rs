@@ -2,6 +2,7 @@
 //!
 //! | name | content | written by |
 //! |---|---|---|
+//! | `pointillist-store` | what tells this store from others, drawn at random | the first daemon |
 //! | `assets/SHA256` | a file of a scene; removed a week after it was last stored, unless a film needs it | the daemon, once for all films |
 //! | `films/FILM/order.json` | [`FilmOrder`](super::messages::FilmOrder); removed first when the film is over | the daemon |
 //! | `films/FILM/frames/TAG` | the image with this entity tag | workers |
@@ -12,7 +13,7 @@
 
 use std::collections::HashSet;
 use std::path::Path as FilePath;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, SystemTime};
 
 use bytes::Bytes;
@@ -21,14 +22,17 @@ use object_store::aws::AmazonS3Builder;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path;
 use object_store::prefix::PrefixStore;
-use object_store::{ObjectStore, ObjectStoreExt, PutPayload, WriteMultipart};
+use object_store::{ObjectStore, ObjectStoreExt, PutMode, PutPayload, WriteMultipart};
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
 use super::messages::Bundle;
+use crate::engine::RequestId;
 use crate::film::manifest::{are_digits, digits};
 
+/// Name of the mark.
+const MARK: &str = "pointillist-store";
 /// Number of tries of an operation. The pause after each is twice as long as the one before.
 const TRIES: u32 = 4;
 const PAUSE: Duration = Duration::from_millis(100);
@@ -54,19 +58,26 @@ struct Needs {
 pub struct Store {
     objects: Arc<dyn ObjectStore>,
     name: Arc<str>,
+    /// What the mark said when it was first read.
+    id: Arc<OnceLock<String>>,
 }
 
 /// Error of the store.
 #[derive(Debug, thiserror::Error)]
-#[error("--store {store}: {error}")]
-pub struct StoreError {
-    store: Arc<str>,
-    error: object_store::Error,
+pub enum StoreError {
+    #[error("--store {store}: {error}")]
+    Failed { store: Arc<str>, error: object_store::Error },
+    #[error("--store {store}: expected s3://BUCKET/PREFIX or a folder: {error}")]
+    Folder { store: Arc<str>, error: std::io::Error },
+    #[error(
+        "--store {0}: its file `{MARK}` is missing or another one than before; bring the store back, as by mounting its file system"
+    )]
+    Gone(Arc<str>),
 }
 
 impl StoreError {
     fn is_missing(&self) -> bool {
-        matches!(self.error, object_store::Error::NotFound { .. })
+        matches!(self, StoreError::Failed { error: object_store::Error::NotFound { .. }, .. })
     }
 }
 
@@ -80,12 +91,26 @@ pub struct Listing {
 }
 
 impl Store {
-    /// Opens `s3://BUCKET/PREFIX`, with access from the usual `AWS_…` variables, or a folder, which is created if missing.
+    /// Opens a store as [`Store::open`] does. A missing folder is created if the folder that it lies in exists.
     ///
     /// # Errors
-    /// The text names neither, or the folder cannot be created.
+    /// As for [`Store::open`], and the folder cannot be created.
+    pub fn create(text: &str) -> Result<Store, StoreError> {
+        if !text.starts_with("s3://")
+            && let Err(error) = std::fs::create_dir(text)
+            && error.kind() != std::io::ErrorKind::AlreadyExists
+        {
+            return Err(StoreError::Folder { store: text.into(), error });
+        }
+        Store::open(text)
+    }
+
+    /// Opens `s3://BUCKET/PREFIX`, with access from the usual `AWS_…` variables, or a folder.
+    ///
+    /// # Errors
+    /// The text names neither, or the folder is missing.
     pub fn open(text: &str) -> Result<Store, StoreError> {
-        let fail = |error| StoreError { store: text.into(), error };
+        let fail = |error| StoreError::Failed { store: text.into(), error };
         let objects: Arc<dyn ObjectStore> = if let Some(rest) = text.strip_prefix("s3://") {
             // Another crate may have chosen a provider of cryptography already, which is as good.
             let _ = tokio_rustls::rustls::crypto::ring::default_provider().install_default();
@@ -94,14 +119,74 @@ impl Store {
             Arc::new(PrefixStore::new(s3, Path::from(prefix)))
         } else {
             let folder = FilePath::new(text);
-            let created = std::fs::create_dir_all(folder);
-            created.map_err(|error| {
-                fail(object_store::Error::Generic { store: "folder", source: Box::new(error) })
-            })?;
+            if let Err(error) = std::fs::read_dir(folder) {
+                return Err(StoreError::Folder { store: text.into(), error });
+            }
             let files = LocalFileSystem::new_with_prefix(folder).map_err(fail)?;
             Arc::new(files.with_automatic_cleanup(true))
         };
-        Ok(Store { objects, name: text.into() })
+        Ok(Store { objects, name: text.into(), id: Arc::default() })
+    }
+
+    /// Returns the store's name, as it was given.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Returns the store's mark, which is created if missing. For daemons only.
+    ///
+    /// # Errors
+    /// The store fails, as in all other operations.
+    pub async fn claim(&self) -> Result<&str, StoreError> {
+        if let Some(found) = self.find().await? {
+            return Ok(found);
+        }
+        let own = RequestId::fresh().to_string();
+        let mark = Path::from(MARK);
+        let put = || {
+            let content = PutPayload::from_bytes(own.clone().into());
+            self.objects.put_opts(&mark, content, PutMode::Create.into())
+        };
+        match self.tried(put).await {
+            Ok(_) => Ok(self.id.get_or_init(|| own.clone())),
+            // Another daemon was faster.
+            Err(error) => self.find().await?.ok_or(error),
+        }
+    }
+
+    /// Returns the store's mark; `None` if no daemon has used the store.
+    pub async fn find(&self) -> Result<Option<&str>, StoreError> {
+        if self.id.get().is_none()
+            && let Some(found) = self.mark().await?
+        {
+            let _ = self.id.set(found);
+        }
+        Ok(self.id.get().map(String::as_str))
+    }
+
+    async fn mark(&self) -> Result<Option<String>, StoreError> {
+        let text = self.get(&Path::from(MARK)).await?;
+        Ok(text.map(|text| String::from_utf8_lossy(&text).trim().to_owned()))
+    }
+
+    /// Checks that the store still has the mark that was found.
+    ///
+    /// # Errors
+    /// The store has another mark or none, as where its file system is no longer mounted.
+    pub async fn check(&self) -> Result<(), StoreError> {
+        let found = self.mark().await?;
+        if found.is_some() && found.as_ref() == self.id.get() {
+            return Ok(());
+        }
+        Err(StoreError::Gone(self.name.clone()))
+    }
+
+    /// Writes an object and removes it again, to find out whether that is allowed.
+    pub async fn try_writing(&self, name: &str) -> Result<(), StoreError> {
+        let trial = Path::from("trials").join(name);
+        self.put(&trial, Bytes::from_static(b"trial")).await?;
+        absent(self.tried(|| self.objects.delete(&trial)).await)?;
+        Ok(())
     }
 
     /// Repeats an operation that fails, unless the object is missing.
@@ -125,7 +210,7 @@ impl Store {
     }
 
     fn failed(&self, error: object_store::Error) -> StoreError {
-        StoreError { store: self.name.clone(), error }
+        StoreError::Failed { store: self.name.clone(), error }
     }
 
     async fn put(&self, name: &Path, bytes: Bytes) -> Result<(), StoreError> {
@@ -143,10 +228,8 @@ impl Store {
     }
 
     /// Stores the description of a film.
-    ///
-    /// # Errors
-    /// The store fails, as in all other operations.
     pub async fn put_order(&self, film: &str, order: Vec<u8>) -> Result<(), StoreError> {
+        self.check().await?;
         self.put(&film_path(film).join("order.json"), order.into()).await
     }
 
@@ -243,6 +326,7 @@ impl Store {
     /// # Errors
     /// The store fails, or a film's order cannot be read; then nothing is removed.
     pub async fn clean(&self, now: SystemTime) -> Result<usize, StoreError> {
+        self.check().await?;
         let assets = Path::from("assets");
         let assets: Vec<_> = self.tried(|| self.objects.list(Some(&assets)).try_collect()).await?;
         let is_old = |at: SystemTime| now.duration_since(at).is_ok_and(|age| age >= KEPT);
@@ -378,125 +462,4 @@ fn unseal(sealed: Bytes) -> Option<Bytes> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn store() -> (tempfile::TempDir, Store) {
-        let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(folder.path().join("deep/store").to_str().unwrap()).unwrap();
-        (folder, store)
-    }
-
-    #[test]
-    fn damaged_frames_count_as_missing() {
-        let sealed = seal(b"image");
-        assert_eq!(unseal(sealed.clone()).unwrap(), b"image"[..]);
-        for length in 0..sealed.len() {
-            assert_eq!(unseal(sealed.slice(..length)), None, "{length}");
-        }
-        let mut other = sealed.to_vec();
-        other[2] ^= 1;
-        assert_eq!(unseal(other.into()), None);
-        assert_eq!(unseal(seal(b"")).unwrap(), b""[..]);
-    }
-
-    #[tokio::test]
-    async fn films_are_stored_listed_and_removed() {
-        let (folder, store) = store();
-        assert_eq!(store.order("f").await.unwrap(), None);
-        store.put_order("f", b"{}".to_vec()).await.unwrap();
-        assert_eq!(store.order("f").await.unwrap().unwrap(), b"{}"[..]);
-        store.put_frame("f", "aa", b"one").await.unwrap();
-        store.put_frame("other", "bb", b"two").await.unwrap();
-        assert!(store.has_frame("f", "aa").await.unwrap());
-        assert!(!store.has_frame("f", "bb").await.unwrap());
-        assert_eq!(store.frame("f", "aa").await.unwrap().unwrap(), b"one"[..]);
-        assert_eq!(store.frame("f", "bb").await.unwrap(), None);
-        for before in 0..4 {
-            assert_eq!(store.count_try("f", "0-3").await.unwrap(), before);
-        }
-        assert_eq!(store.count_try("f", "0-0").await.unwrap(), 0);
-        store.take_back_try("f", "0-3", 1).await.unwrap();
-        assert_eq!(store.count_try("f", "0-3").await.unwrap(), 1);
-        std::fs::write(folder.path().join("deep/store/films/f/frames/aa"), "on").unwrap();
-        assert_eq!(store.frame("f", "aa").await.unwrap(), None);
-        assert!(!store.has_frame("f", "aa").await.unwrap());
-        store.put_frame("f", "aa", b"one").await.unwrap();
-        store.set_aside("f", 7, "it burns").await.unwrap();
-        assert_eq!(store.why_aside("f", 7).await.unwrap().unwrap(), "it burns");
-        let listing = store.list("f").await.unwrap();
-        assert_eq!(listing, Listing { frames: vec!["aa".to_owned()], aside: vec![7] });
-        store.remove("f").await.unwrap();
-        assert_eq!(store.list("f").await.unwrap(), Listing::default());
-        assert_eq!(store.order("f").await.unwrap(), None);
-        assert!(store.has_frame("other", "bb").await.unwrap());
-        store.remove("f").await.unwrap();
-    }
-
-    /// Makes a file of the store look older.
-    fn age(folder: &FilePath, sha256: &str, by: Duration) {
-        let file = std::fs::File::options()
-            .write(true)
-            .open(folder.join("deep/store/assets").join(sha256))
-            .unwrap();
-        file.set_modified(SystemTime::now() - by).unwrap();
-    }
-
-    #[tokio::test]
-    async fn old_assets_are_removed_unless_a_film_needs_them() {
-        let (folder, store) = store();
-        let [old, needed, young] = ["0", "1", "2"].map(|digit| digit.repeat(64));
-        let foreign = "model.ply".to_owned();
-        let assets = folder.path().join("deep/store/assets");
-        std::fs::create_dir_all(&assets).unwrap();
-        for name in [&old, &needed, &young, &foreign] {
-            std::fs::write(assets.join(name), "ply").unwrap();
-        }
-        let now = SystemTime::now();
-        assert_eq!(store.clean(now).await.unwrap(), 0);
-        for name in [&old, &needed, &foreign] {
-            age(folder.path(), name, KEPT + PAUSE);
-        }
-        let mut order = serde_json::json!({"scene": {
-            "main": "a.ply", "base": null, "up": null,
-            "files": [{"path": "a.ply", "bytes": 3, "sha256": needed}],
-        }});
-        store.put_order("f", order.to_string().into_bytes()).await.unwrap();
-        store.put_order("broken", b"{}".to_vec()).await.unwrap();
-        let error = store.clean(now).await.unwrap_err().to_string();
-        assert!(error.contains("films/broken/order.json"), "{error}");
-        store.remove("broken").await.unwrap();
-        assert_eq!(store.clean(now).await.unwrap(), 1);
-        let has = |name: &String| assets.join(name).exists();
-        assert_eq!([&old, &needed, &young, &foreign].map(has), [false, true, true, true]);
-        order["scene"]["files"] = serde_json::json!([]);
-        store.put_order("f", order.to_string().into_bytes()).await.unwrap();
-        assert_eq!(store.clean(now).await.unwrap(), 1);
-        assert_eq!([&needed, &young, &foreign].map(has), [false, true, true]);
-    }
-
-    #[tokio::test]
-    async fn assets_are_stored_once_and_checked() {
-        let (folder, store) = store();
-        let file = folder.path().join("big.ply");
-        let content: Vec<u8> = (0..PART + 12_345).map(|i| (i * 31 % 251) as u8).collect();
-        std::fs::write(&file, &content).unwrap();
-        let sha256 = crate::film::manifest::checksum(&content);
-        store.put_asset(&sha256, &file).await.unwrap();
-        // The second time, nothing is read.
-        store.put_asset(&sha256, FilePath::new("/no/such/file")).await.unwrap();
-        age(folder.path(), &sha256, FRESH);
-        store.put_asset(&sha256, &file).await.unwrap();
-        store.put_asset(&sha256, FilePath::new("/no/such/file")).await.unwrap();
-        let copy = folder.path().join("copy.ply");
-        assert_eq!(store.asset(&sha256, &copy).await.unwrap(), sha256);
-        assert_eq!(std::fs::read(&copy).unwrap(), content);
-        // A file that is not what its hash says is not stored.
-        let other = "3".repeat(64);
-        let changed = store.put_asset(&other, &file).await.unwrap_err().to_string();
-        assert!(changed.contains("changed while it was stored"), "{changed}");
-        assert!(!folder.path().join("deep/store/assets").join(other).exists());
-        let missing = store.asset("00", &copy).await.unwrap_err().to_string();
-        assert!(missing.starts_with("--store ") && missing.contains("assets/00"), "{missing}");
-    }
-}
+mod tests;

@@ -6,8 +6,8 @@
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use async_nats::jetstream::{AckKind, Message};
@@ -15,14 +15,14 @@ use futures::{StreamExt, TryStreamExt, stream};
 use parking_lot::Mutex;
 use sha2::{Digest, Sha256};
 
-use super::broker::{Address, Broker, BrokerError, pull};
+use super::broker::{Address, Broker, BrokerError, Said, pull};
 use super::bundle::unpack;
 use super::messages::{Beat, Bundle, FilmOrder, Note, Run, beats, notes};
 use super::pacing::{
     ACK_WAIT, BEAT, MOST_TRIES, PROGRESS, STORES, UNSTORED, Verdict, judge, may_be_stored,
 };
-use super::stopped;
 use super::store::{Store, StoreError};
+use super::{kind_of, stopped};
 use crate::engine::{Client, Engine, EngineError, RequestId};
 use crate::film::manifest::digits;
 use crate::film::{self, Drawn, Film, FilmError, Wanted};
@@ -32,6 +32,8 @@ use crate::jobs::find_shots;
 const PAUSE: Duration = Duration::from_millis(500);
 /// Delay before a run that failed is delivered again.
 const AGAIN: Duration = Duration::from_secs(1);
+/// Time after which a worker without a queue says so.
+const QUIET: Duration = Duration::from_secs(10);
 /// Time without a finished frame after which a worker stops telling the broker that it lives. Baking a large scene takes long.
 const STUCK: Duration = Duration::from_secs(1800);
 
@@ -40,7 +42,8 @@ pub struct Worker {
     broker: Broker,
     store: Store,
     engine: Engine,
-    kind: String,
+    /// Known when the store has a mark.
+    kind: OnceLock<String>,
     name: String,
     /// The engine's root. Each scene has its own folder there.
     folder: PathBuf,
@@ -80,7 +83,7 @@ impl Worker {
         Ok(Worker {
             broker,
             store,
-            kind: engine.identity(),
+            kind: OnceLock::new(),
             engine,
             name,
             folder: folder.to_owned(),
@@ -92,14 +95,30 @@ impl Worker {
     /// Works until `stop` becomes true. A run that is not finished then goes back to the queue.
     pub async fn run(self: Arc<Self>, stop: Arc<AtomicBool>) {
         let beating = tokio::spawn(self.clone().beat());
+        let kind = tokio::select! {
+            kind = self.reach_store() => kind,
+            () = stopped(&stop) => String::new(),
+        };
         let mut consumer = None;
+        let waiting = Instant::now();
+        let said = Said::default();
         while !stop.load(Ordering::Relaxed) {
             let known = match &consumer {
                 Some(known) => known,
-                None => match self.broker.consumer(&self.kind).await {
+                None => match self.broker.consumer(&kind).await {
                     Ok(found) => consumer.insert(found),
                     Err(error) => {
                         tracing::debug!(%error, "no daemon has prepared the queue yet");
+                        if waiting.elapsed() >= QUIET
+                            && self.broker.is_connected()
+                            && said.is_due("waits")
+                        {
+                            tracing::info!(
+                                adapter = self.engine.adapter(),
+                                version = crate::VERSION,
+                                "no server with this adapter, this build and this store has ordered a film yet"
+                            );
+                        }
                         tokio::time::sleep(PAUSE).await;
                         continue;
                     }
@@ -123,6 +142,28 @@ impl Worker {
         self.broker.flush().await;
     }
 
+    /// Waits until a daemon has marked the store, and returns the worker's kind.
+    async fn reach_store(&self) -> String {
+        let said = Said::default();
+        loop {
+            let text = match self.store.find().await {
+                Ok(Some(mark)) => {
+                    let kind = kind_of(&self.engine.identity(), mark);
+                    return self.kind.get_or_init(|| kind).clone();
+                }
+                Ok(None) => format!(
+                    "--store {}: no server has used it yet, or it is not the servers' store; is it mounted?",
+                    self.store.name()
+                ),
+                Err(error) => error.to_string(),
+            };
+            if said.is_due(&text) {
+                tracing::warn!("the worker waits: {text}");
+            }
+            tokio::time::sleep(PAUSE).await;
+        }
+    }
+
     async fn beat(self: Arc<Self>) {
         let mut interval = tokio::time::interval(BEAT);
         loop {
@@ -132,16 +173,24 @@ impl Worker {
                 (state.busy.clone(), state.since)
             };
             let idle_ms = if busy.is_some() { 0 } else { since.elapsed().as_millis() as u64 };
+            let identity = self.engine.identity();
+            let kind = self.kind.get().cloned().unwrap_or_else(|| kind_of(&identity, "unmarked"));
+            let subject = beats(&kind);
             let beat = Beat {
                 worker: self.name.clone(),
-                kind: self.kind.clone(),
+                kind,
+                identity,
                 adapter: self.engine.adapter(),
                 version: crate::VERSION.to_owned(),
                 busy,
                 idle_ms,
             };
-            self.broker.tell(beats(&self.kind), &beat).await;
+            self.broker.tell(subject, &beat).await;
         }
+    }
+
+    fn known_kind(&self) -> &str {
+        self.kind.get().map(String::as_str).unwrap_or_default()
     }
 
     fn set_busy(&self, busy: Option<(String, u64)>) {
@@ -222,6 +271,8 @@ impl Worker {
 
     /// Works on a run. The error is a reason for another try.
     async fn attempt(&self, run: &Run, stop: &Arc<AtomicBool>) -> Result<Ended, String> {
+        // Where the store's file system is gone, the film is not over.
+        self.store.check().await.map_err(text)?;
         let order = self.store.order(&run.film).await.map_err(text)?;
         let Some(order) = order else { return Ok(Ended::Over) };
         let order: FilmOrder = serde_json::from_slice(&order).map_err(text)?;
@@ -236,7 +287,7 @@ impl Worker {
                 );
                 for one in run.split() {
                     let id = format!("{}-{}-{}", run.film, run.id, one.key());
-                    self.broker.queue(&self.kind, &one, &id).await.map_err(text)?;
+                    self.broker.queue(self.known_kind(), &one, &id).await.map_err(text)?;
                 }
                 return Ok(Ended::Done);
             }
@@ -246,7 +297,13 @@ impl Worker {
                 return Ok(Ended::Done);
             }
         }
-        let drawn = self.draw(run, begun, order, stop).await;
+        let mut drawn = self.draw(run, begun, order, stop).await;
+        if drawn.is_err()
+            && let Err(gone) = self.store.check().await
+        {
+            drawn = Err(gone.to_string());
+            let _ = self.store.take_back_try(&run.film, &run.key(), begun).await;
+        }
         if stop.load(Ordering::Relaxed) {
             // The try does not count: the worker was told to stop.
             let _ = self.store.take_back_try(&run.film, &run.key(), begun).await;

@@ -5,6 +5,7 @@ use glam::DVec3;
 use super::plain::{Faces, sphere, srgb, tree};
 use super::scenes::{SUNSHINE, cameras, path, poses_about, subject, vector};
 use super::{Generated, GeneratedMesh, GeneratedScene};
+use crate::assets::{Material, Physical};
 use crate::math::Bounds;
 
 /// Length of the house; its other lengths are shares of it.
@@ -74,10 +75,15 @@ fn house(length: f64) -> [GeneratedMesh; 2] {
 }
 
 /// A ball of glass of diameter 1.
-fn ball(color: [u8; 4]) -> GeneratedMesh {
-    let mut ball = sphere(1.0, 1_200);
-    ball.mesh.colors = Some(vec![color; ball.mesh.positions.len()]);
-    ball
+fn ball(name: &str, [r, g, b]: [f32; 3]) -> GeneratedMesh {
+    let physical = Physical { roughness: 0.05, transmission: 1.0, ..Physical::default() };
+    let material = Material {
+        name: name.to_owned(),
+        base_color: [r, g, b, 1.0],
+        physical: Some(physical),
+        ..Material::default()
+    };
+    GeneratedMesh { material: Some(material), ..sphere(1.0, 1_200) }
 }
 
 /// The ground, and the bench that balls lie on.
@@ -145,9 +151,9 @@ pub fn glasshouse(name: &str, length: f64, seed: u64, hour: Hour) -> GeneratedSc
         ("bars", bars),
         ("plant", tree(0.3 * length, 900, seed)),
         ("ground", ground(length)),
-        ("amber", ball([230, 150, 30, 130])),
-        ("blue", ball([60, 110, 220, 110])),
-        ("ruby", ball([200, 20, 50, 160])),
+        ("amber", ball("amber", [0.98, 0.78, 0.35])),
+        ("blue", ball("blue", [0.45, 0.65, 0.96])),
+        ("ruby", ball("ruby", [0.93, 0.25, 0.33])),
     ];
     let mut nodes: Vec<String> = ["ground", "bars", "panes"]
         .map(|asset| format!("    {{ \"name\": \"{asset}\", \"asset\": \"{asset}\" }}"))
@@ -175,9 +181,13 @@ pub fn glasshouse(name: &str, length: f64, seed: u64, hour: Hour) -> GeneratedSc
     let target = DVec3::new(0.0, 0.2, 0.0) * length;
     let key = |t: f64, x: f64, z: f64| (t, DVec3::new(x, 0.35, z) * length, target);
     let keys = [key(0.0, 0.0, 1.6), key(2.0, 1.3, 0.6), key(4.0, 0.8, -1.1), key(6.0, -1.2, -0.4)];
+    // PLY files have no materials.
+    let file = |asset: &str, mesh: &GeneratedMesh| {
+        format!("{name}-{asset}.{}", if mesh.material.is_some() { "obj" } else { "ply" })
+    };
     let listed: Vec<String> = assets
         .iter()
-        .map(|(asset, _)| format!("    \"{asset}\": {{ \"file\": \"{name}-{asset}.ply\" }}"))
+        .map(|(asset, mesh)| format!("    \"{asset}\": {{ \"file\": \"{}\" }}", file(asset, mesh)))
         .collect();
     let shown = Bounds {
         min: DVec3::new(-HALF, 0.0, -0.5) * length,
@@ -194,7 +204,7 @@ pub fn glasshouse(name: &str, length: f64, seed: u64, hour: Hour) -> GeneratedSc
     );
     let assets = assets
         .into_iter()
-        .map(|(asset, mesh)| (format!("{name}-{asset}.ply"), Generated::Mesh(mesh)))
+        .map(|(asset, mesh)| (file(asset, &mesh), Generated::Mesh(mesh)))
         .collect();
     GeneratedScene { json, assets }
 }

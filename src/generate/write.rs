@@ -340,6 +340,10 @@ fn mtl_text(name: &str, material: &Material, texture: Option<&str>) -> String {
     );
     if let Some(own) = &material.physical {
         text.push_str(&format!("Pr {:.4}\nPm {:.4}\n", own.roughness, own.metallic));
+        if own.transmission > 0.0 {
+            let [r, g, b] = own.volume.map(|channel| channel * own.transmission);
+            text.push_str(&format!("Tf {r:.4} {g:.4} {b:.4}\n"));
+        }
     }
     if material.emissive != [0.0; 3] {
         let [r, g, b] = material.emissive;

@@ -7,11 +7,10 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use axum::Json;
 use axum::body::Body;
 use axum::extract::{Extension, State};
 use axum::http::{HeaderMap, HeaderValue, header};
-use axum::response::{IntoResponse, Response};
+use axum::response::Response;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use serde::{Deserialize, Serialize};
@@ -184,7 +183,11 @@ pub async fn compare(
         asked.answer(&drawn, finer)
     };
     let answer = tokio::task::spawn_blocking(work).await.map_err(Problem::internal)??;
-    let mut response = Json(answer).into_response();
+    let text = serde_json::to_vec(&answer).map_err(Problem::internal)?;
+    let body = app.unread.hold(client, text.into(), &app.engine.admission())?;
+    let mut response = Response::new(body);
+    let json = HeaderValue::from_static("application/json");
+    response.headers_mut().insert(header::CONTENT_TYPE, json);
     response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
     Ok(response)
 }

@@ -1,7 +1,7 @@
 //! Connections: how many there may be, and for how long each may stall.
 //!
 //! A connection must send the head of a request within `read_timeout`; an idle connection is closed after the same time, and a
-//! connection that accepts no bytes of its answer for [`STALLED_WRITE`] is dropped. A connection beyond `max_connections` gets a
+//! connection that accepts fewer than [`LEAST_WRITTEN`] bytes of its answer in [`STALLED_WRITE`] is dropped. A connection beyond `max_connections` gets a
 //! short refusal and is closed. A few of these at a time are read first, so that health probes are answered. The same holds for a
 //! connection beyond those that one address may have. With TLS, such connections are closed without an answer, since a handshake
 //! costs more than the answer is worth.
@@ -28,6 +28,8 @@ use super::{App, address, refusal, service};
 
 /// Time after which a client that reads nothing of its answer is dropped.
 const STALLED_WRITE: Duration = Duration::from_secs(60);
+/// Bytes that a connection must accept within that time once it has not accepted any at once.
+const LEAST_WRITTEN: usize = 16 << 10;
 /// Length of an HTTP/2 preface, which is also nearly that of the shortest HTTP/1 request.
 const PREFACE_BYTES: u64 = 24;
 /// Limits of reading on after a refused head, in time and bytes: closing at once would reset the connection, and the client might
@@ -184,6 +186,8 @@ pub struct Guarded {
     preface_until: Pin<Box<Sleep>>,
     write_until: Pin<Box<Sleep>>,
     is_write_pending: bool,
+    /// Bytes written since the time limit of writes began.
+    written: usize,
     /// Answer that replaces one of the HTTP library.
     instead: Option<Instead>,
 }
@@ -204,6 +208,7 @@ impl Guarded {
             preface_until: Box::pin(tokio::time::sleep(read_timeout)),
             write_until: Box::pin(tokio::time::sleep(STALLED_WRITE)),
             is_write_pending: false,
+            written: 0,
             instead: None,
         }
     }
@@ -252,6 +257,23 @@ impl Guarded {
         Poll::Ready(Ok(()))
     }
 
+    /// As [`Guarded::bounded`], for a write of some bytes. Only [`LEAST_WRITTEN`] of them end the wait that the time limit is for.
+    fn bounded_write(
+        &mut self,
+        context: &mut Context<'_>,
+        result: Poll<std::io::Result<usize>>,
+    ) -> Poll<std::io::Result<usize>> {
+        if let Poll::Ready(Ok(bytes)) = result
+            && self.is_write_pending
+        {
+            self.written += bytes;
+            if self.written < LEAST_WRITTEN {
+                return result;
+            }
+        }
+        self.bounded(context, result)
+    }
+
     /// Turns a write that takes too long into an error.
     fn bounded<T>(
         &mut self,
@@ -259,7 +281,7 @@ impl Guarded {
         result: Poll<std::io::Result<T>>,
     ) -> Poll<std::io::Result<T>> {
         if result.is_ready() {
-            self.is_write_pending = false;
+            (self.is_write_pending, self.written) = (false, 0);
             return result;
         }
         if !self.is_write_pending {
@@ -306,7 +328,7 @@ impl AsyncWrite for Guarded {
             return result;
         }
         let result = Pin::new(&mut self.stream).poll_write(context, bytes);
-        self.bounded(context, result)
+        self.bounded_write(context, result)
     }
 
     fn poll_write_vectored(
@@ -321,7 +343,7 @@ impl AsyncWrite for Guarded {
             return result;
         }
         let result = Pin::new(&mut self.stream).poll_write_vectored(context, slices);
-        self.bounded(context, result)
+        self.bounded_write(context, result)
     }
 
     fn is_write_vectored(&self) -> bool {

@@ -119,7 +119,8 @@ pub async fn frame(
     let ticket = app.engine.queue(Origin { client, request_id }, resolved.clone())?;
     let frame = wait(&app, ticket, resolved.request.deadline).await?;
     app.metrics.frame(&frame);
-    let mut response = Response::new(Body::from(frame.bytes.clone()));
+    let body = app.unread.hold(client, frame.bytes.clone(), &app.engine.admission())?;
+    let mut response = Response::new(body);
     let headers = response.headers_mut();
     for (name, value) in receipt_headers(&frame) {
         headers.insert(name, value);

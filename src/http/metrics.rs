@@ -377,6 +377,10 @@ impl Collector for JobCollector {
         let help = "Disk space of all jobs";
         bytes.encode(encoder.encode_descriptor("jobs_disk", help, Some(&Unit::Bytes), kind)?)?;
         let Some(load) = self.0.remote_load() else { return Ok(()) };
+        let help =
+            "1 while there is a connection to the NATS server, which hands frames to workers";
+        let connected = gauge(load.is_connected.into());
+        connected.encode(encoder.encode_descriptor("farm_nats_connected", help, None, kind)?)?;
         let help = "Worker processes that were heard of lately; those of another adapter or version draw no frames of this server";
         let mut workers = encoder.encode_descriptor("workers", help, None, kind)?;
         for (of, count) in [("this", load.workers), ("another", load.other_workers)] {

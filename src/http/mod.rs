@@ -61,6 +61,7 @@ mod socket;
 mod stream;
 pub mod telemetry;
 pub mod tls;
+mod unread;
 mod upload;
 mod viewer;
 
@@ -154,6 +155,8 @@ pub struct App {
     /// The jobs, or the reason why there are none.
     pub(crate) jobs: Result<Jobs, String>,
     pub(crate) surveys: Surveys,
+    /// Answers that clients have not read yet.
+    unread: unread::Unread,
     /// The turn of the comparison whose figures are computed.
     pub(crate) comparing: Arc<tokio::sync::Semaphore>,
     /// Key of the hash that numbers callers, so that no caller can choose a number that is another's.
@@ -188,6 +191,7 @@ impl App {
         let limits = Arc::new(Limits::new());
         let app = Arc::new(App {
             surveys: Surveys::open(engine.clone(), folder),
+            unread: unread::Unread::new(engine.limits().host_memory_bytes),
             comparing: Arc::new(tokio::sync::Semaphore::new(1)),
             metrics: metrics::Metrics::new(
                 &engine,

@@ -285,18 +285,29 @@ async fn load_scenes(
 
 const SIGTERM: &str = "SIGTERM";
 
-/// Waits for SIGTERM or SIGINT, for commands other than the daemon. Needs a runtime. From this call on, these signals no longer
-/// end the process.
+/// Waits for SIGTERM, SIGINT, or the end of the terminal, for commands other than the daemon. Needs a runtime. From this call on, these signals no
+/// longer end the process. SIGHUP is ignored where standard error is no terminal.
 pub fn stop_signal() -> std::io::Result<impl Future<Output = &'static str>> {
     #[cfg(unix)]
     {
+        use std::io::IsTerminal;
         use tokio::signal::unix::{SignalKind, signal};
         let mut terminate = signal(SignalKind::terminate())?;
         let mut interrupt = signal(SignalKind::interrupt())?;
+        let mut hangup = signal(SignalKind::hangup())?;
+        let has_terminal = std::io::stderr().is_terminal();
         Ok(async move {
-            tokio::select! {
-                _ = terminate.recv() => SIGTERM,
-                _ = interrupt.recv() => "SIGINT",
+            loop {
+                tokio::select! {
+                    _ = terminate.recv() => return SIGTERM,
+                    _ = interrupt.recv() => return "SIGINT",
+                    _ = hangup.recv() => {
+                        if has_terminal {
+                            return "SIGHUP";
+                        }
+                        tracing::info!("SIGHUP: there are no files to read again");
+                    }
+                }
             }
         })
     }

@@ -20,6 +20,8 @@ pub struct Order<'a> {
 /// Numbers that tell how many workers are needed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Load {
+    /// There is a connection to what hands frames to workers.
+    pub is_connected: bool,
     /// Workers that can draw this server's frames, and others.
     pub workers: u64,
     pub other_workers: u64,

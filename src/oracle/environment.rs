@@ -181,8 +181,13 @@ mod tests {
             })
             .collect();
         for (roughness, bound) in [(0.3, 0.15), (0.5, 0.18), (0.75, 0.13), (1.0, 0.07)] {
-            let metal =
-                Reflection { metallic: 1.0, roughness, dielectric: [0.04; 3], grazing: 1.0 };
+            let metal = Reflection {
+                metallic: 1.0,
+                roughness,
+                dielectric: [0.04; 3],
+                grazing: 1.0,
+                transmission: None,
+            };
             let (mut errors, mut sums) = ([0.0, 0.0], 0.0);
             for step in 0..120 {
                 let turn = 2.4 * f64::from(step);

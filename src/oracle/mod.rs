@@ -255,7 +255,7 @@ fn colors(prepared: &Prepared<'_>, view: &View, fineness: u32, centres: &[Shown]
                 let through = |fog: &Fog| fog::background(fog, &fine_view, background, ray);
                 return prepared.scene.fog.as_ref().map_or(background, through);
             }
-            Shown::Hit(hit) => shaded(prepared, &fine_view, hit, x, y).0,
+            Shown::Hit(hit) => shaded(prepared, &fine_view, hit, x, y).color,
             Shown::Splats(blended) => blended.color,
         };
         let factor = factors.get(y / n * width + x / n).copied().unwrap_or(1.0);
@@ -303,14 +303,36 @@ fn foggy(
     fog::seen_through(fog, view, color, view.at_depth(pixel_ray(view, x, y), depth))
 }
 
-/// The colour of a hit under all lights, and its alpha.
-fn shaded(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: usize) -> ([f64; 3], f64) {
+/// What a hit shows.
+struct Shaded {
+    /// Under all lights.
+    color: [f64; 3],
+    alpha: f64,
+    /// Share of the light from behind that passes what alpha leaves of the surface.
+    passing: [f64; 3],
+}
+
+fn shaded(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: usize) -> Shaded {
     let mut surface = surface::at(prepared, view, hit, x, y);
     surface.recolor(prepared.scene.recolor.as_ref(), view, prepared.instance(hit));
     if !prepared.is_translucent(hit) {
         surface.open = prepared.ambient_share(&surface);
     }
-    (shade::shade(&surface, prepared, view.eye), surface.alpha)
+    let is_lit = !prepared.scene.lights.is_empty() || prepared.scene.surroundings.is_some();
+    let has_normal = is_lit && surface.normal_world != DVec3::ZERO;
+    let to_eye = (-surface.way).try_normalize().unwrap_or(DVec3::ZERO);
+    let facing = has_normal.then(|| surface.normal_world.dot(to_eye));
+    let passing = |channel: usize| {
+        let reflection = surface.details.reflection;
+        reflection.map_or(0.0, |own| own.passing(surface.albedo[channel], channel, facing))
+    };
+    let transmission = surface.details.reflection.and_then(|own| own.transmission);
+    let is_solid = transmission.is_some_and(|own| own.is_solid);
+    Shaded {
+        color: shade::shade(&surface, prepared, view.eye),
+        alpha: if is_solid { 1.0 } else { surface.alpha.clamp(0.0, 1.0) },
+        passing: std::array::from_fn(passing),
+    }
 }
 
 /// Factors of eye-dome lighting, from the depths of what is opaque at the pixels' centres; none where it is off.
@@ -324,8 +346,8 @@ fn edl_factors(prepared: &Prepared<'_>, view: &View, centres: &[Shown]) -> Vec<f
     (0..depth.len()).into_par_iter().map(factor).collect()
 }
 
-/// Lays the translucent hits of a pixel before what is shown over its colour, from back to front (Porter & Duff 1984, *over*). The colour
-/// below them is that of an image: clamped to 0..=1.
+/// Lays the translucent hits of a pixel before what is shown over its colour (Porter & Duff 1984, *over*), each channel by what it hides of that
+/// channel. The colour below them is that of an image: clamped to 0..=1.
 fn composite(
     prepared: &Prepared<'_>,
     view: &View,
@@ -339,21 +361,29 @@ fn composite(
         Shown::Hit(hit) => visibility::order(prepared, layer, hit).is_lt(),
         Shown::Splats(blended) => layer.depth < blended.depth,
     };
-    let layers: Vec<&Hit> = layers.iter().filter(is_before).collect();
-    if !layers.is_empty() {
-        color.iter_mut().for_each(|channel| *channel = channel.clamp(0.0, 1.0));
-    }
-    for layer in layers.into_iter().rev() {
-        let (over, alpha) = shaded(prepared, view, layer, x, y);
-        let over = foggy(prepared, view, over, layer.depth, (x, y));
-        let alpha = alpha.clamp(0.0, 1.0);
-        let below = color[3] * (1.0 - alpha);
-        let sum = alpha + below;
-        if sum > 0.0 {
-            let mean = |i: usize| (over[i] * alpha + color[i] * below) / sum;
-            *color = [mean(0), mean(1), mean(2), sum];
+    let (mut sum, mut left) = ([0.0; 3], [1.0; 3]);
+    for layer in layers.iter().filter(is_before) {
+        let Shaded { color, alpha, passing } = shaded(prepared, view, layer, x, y);
+        let foggy = |color| foggy(prepared, view, color, layer.depth, (x, y));
+        // Fog before the surface counts once: what passes has met it behind the surface, too.
+        let (own, fog) = (foggy(color), foggy([0.0; 3]));
+        for channel in 0..3 {
+            let passes = alpha * passing[channel];
+            sum[channel] += left[channel] * (alpha * own[channel] - passes * fog[channel]);
+            left[channel] *= 1.0 - alpha + passes;
         }
     }
+    let hidden = 1.0 - left.iter().sum::<f64>() / 3.0;
+    if hidden <= 0.0 {
+        return;
+    }
+    let below = color[3].clamp(0.0, 1.0);
+    let alpha = hidden + below * (1.0 - hidden);
+    for channel in 0..3 {
+        let behind = below * left[channel] * color[channel].clamp(0.0, 1.0);
+        color[channel] = (sum[channel] + behind) / alpha;
+    }
+    color[3] = alpha;
 }
 
 /// The mean of every n × n block; colours count as much as they cover (alpha).

@@ -16,6 +16,19 @@ pub struct Reflection {
     pub dielectric: [f64; 3],
     /// Reflectance at grazing angles there.
     pub grazing: f64,
+    /// What passes: `None` for surfaces that hide what is behind them.
+    pub transmission: Option<Transmission>,
+}
+
+/// How light passes a surface (KHR_materials_transmission), straight on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Transmission {
+    /// Of the light that is neither reflected nor taken up by a metal.
+    pub share: f64,
+    /// What the volume behind the surface leaves of it.
+    pub volume: [f64; 3],
+    /// Alpha does not say how much the surface hides.
+    pub is_solid: bool,
 }
 
 /// What a material adds to Lambert's and Phong's models.
@@ -37,6 +50,7 @@ impl Details {
             roughness: own.roughness.into(),
             dielectric: own.dielectric.map(f64::from),
             grazing: own.grazing.into(),
+            transmission: None,
         };
         Details {
             reflection: material.physical.map(reflection),
@@ -52,7 +66,21 @@ impl Reflection {
         let mixed = |dielectric: f64, metal: f64| {
             dielectric * (1.0 - self.metallic) + metal * self.metallic
         };
-        [mixed(self.dielectric[channel], albedo), mixed(self.grazing, 1.0), mixed(albedo, 0.0)]
+        let stays = self.transmission.map_or(1.0, |own| 1.0 - own.share);
+        let scattered = mixed(albedo, 0.0) * stays;
+        [mixed(self.dielectric[channel], albedo), mixed(self.grazing, 1.0), scattered]
+    }
+
+    /// The share of the light of one channel from behind that passes towards the eye. `facing_eye`: the cosine between normal and eye; `None`
+    /// where nothing is reflected.
+    pub fn passing(&self, albedo: f64, channel: usize, facing_eye: Option<f64>) -> f64 {
+        let Some(transmission) = self.transmission else { return 0.0 };
+        let [facing, grazing, _] = self.parts(albedo, channel);
+        let reflected = facing_eye.map_or(0.0, |cosine| {
+            facing + (grazing - facing) * (1.0 - cosine.clamp(0.0, 1.0)).powi(5)
+        });
+        let below = (1.0 - reflected) * (1.0 - self.metallic) * albedo;
+        below * transmission.share * transmission.volume[channel]
     }
 
     /// Light of one channel that leaves towards the eye for each unit that falls along `to_light` on a surface square to it; times π, so that white
@@ -139,8 +167,13 @@ fn fit(roughness: f64, facing_eye: f64) -> [f64; 2] {
 mod tests {
     use super::*;
 
-    const MIRROR: Reflection =
-        Reflection { metallic: 1.0, roughness: 0.5, dielectric: [0.04; 3], grazing: 1.0 };
+    const MIRROR: Reflection = Reflection {
+        metallic: 1.0,
+        roughness: 0.5,
+        dielectric: [0.04; 3],
+        grazing: 1.0,
+        transmission: None,
+    };
 
     fn direction(polar: f64, azimuth: f64) -> DVec3 {
         let (sine, cosine) = polar.sin_cos();

@@ -27,7 +27,9 @@ pub fn shade(surface: &Surface, prepared: &Prepared<'_>, eye: DVec3) -> [f64; 3]
     let unlit = surface.albedo.map(|channel| channel * surface.open);
     let surroundings = &prepared.scene.surroundings;
     if (lights.is_empty() && surroundings.is_none()) || surface.unlit {
-        return unlit;
+        let passes = details.reflection.and_then(|own| Some((own, own.transmission?)));
+        let stays = passes.map_or(1.0, |(own, light)| 1.0 - light.share * (1.0 - own.metallic));
+        return unlit.map(|channel| channel * stays);
     }
     if normal == DVec3::ZERO && !is_line {
         return std::array::from_fn(|channel| unlit[channel] + details.emissive[channel]);

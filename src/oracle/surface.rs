@@ -8,7 +8,7 @@ use crate::scene::fields::{class_color, class_number};
 use crate::scene::recolor::{NO_VALUE, Recolor, instance_color, share};
 
 use super::color::linear_from_srgba8;
-use super::physical::Details;
+use super::physical::{Details, Transmission};
 use super::prepare::{Prepared, PreparedItem};
 use super::visibility::{Hit, SeenTriangle, pixel_ray};
 use super::{lines, texture};
@@ -75,6 +75,18 @@ impl Surface {
     pub fn turn_to_eye(&mut self) {
         if self.normal_world.dot(self.way) > 0.0 {
             self.normal_world = -self.normal_world;
+        }
+    }
+
+    /// Lets light pass as a material has it. `blends`: alpha says how much the surface hides.
+    fn transmit(&mut self, material: &Material, blends: bool) {
+        let Some(own) = material.physical.filter(|_| material.transmits()) else { return };
+        if let Some(reflection) = &mut self.details.reflection {
+            reflection.transmission = Some(Transmission {
+                share: own.transmission.into(),
+                volume: own.volume.map(f64::from),
+                is_solid: !blends,
+            });
         }
     }
 }
@@ -230,6 +242,9 @@ fn triangle(
     };
     let mut surface = surface(color, (view, position_view), normal, &material);
     surface.turn_to_eye();
+    let over = item.item.override_material;
+    let is_clear = over.and_then(|over| over.base_color).is_some_and(|color| color[3] < 1.0);
+    surface.transmit(&material, own.blends() || is_clear);
     if let Some(uvs) = corner_values(&mesh.uvs, corners).filter(|_| own.has_maps()) {
         let uvs = uvs.map(|uv| uv.as_dvec2());
         let footprint = uv_footprint(&seen, view, ray, uvs);
@@ -259,6 +274,12 @@ fn apply_maps(
     {
         reflection.roughness *= green;
         reflection.metallic *= blue;
+    }
+    let transmission = details.reflection.as_mut().and_then(|own| own.transmission.as_mut());
+    if let (Some(transmission), Some([red, ..])) =
+        (transmission, values(own.physical.and_then(|own| own.transmission_map)))
+    {
+        transmission.share *= red;
     }
     if let Some(light) = values(own.emissive_map) {
         for (emissive, light) in details.emissive.iter_mut().zip(light) {
@@ -318,6 +339,7 @@ pub fn overridden(item: &PreparedItem<'_>, own: &Material) -> Material {
             material.physical = Some(Physical {
                 metallic: over.metallic.unwrap_or(own.metallic),
                 roughness: over.roughness.unwrap_or(own.roughness),
+                transmission: over.transmission.unwrap_or(own.transmission),
                 ..own
             });
         }

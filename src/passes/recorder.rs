@@ -11,7 +11,7 @@ use super::scratch::Scratch;
 use super::shaders::{Choices, Portion, Visibility};
 use super::spread;
 use super::uniforms::{DIGITS, GroupUniforms};
-use super::windows::{COVERED_BYTES, FRAGMENT_BYTES, LAYERS};
+use super::windows::{FRAGMENT_BYTES, LAYERS, covered_bytes};
 use crate::bake::pack::{GeometryKind, PageKind};
 use crate::gpu::Gpu;
 use crate::gpu::bind::BindCache;
@@ -212,7 +212,8 @@ impl<'a, 'c> Recorder<'a, 'c> {
     pub fn empty_window(&mut self) {
         let pixels = u64::from(self.window_pixels());
         let scratch = &self.context.scratch;
-        let buffers = [(&scratch.fragments, FRAGMENT_BYTES), (&scratch.covered, COVERED_BYTES)];
+        let covered = covered_bytes(self.scene.looks.transmits);
+        let buffers = [(&scratch.fragments, FRAGMENT_BYTES), (&scratch.covered, covered)];
         for (buffer, bytes) in buffers {
             self.encoder.clear_buffer(buffer.buffer().raw(), 0, Some(pixels * bytes));
         }

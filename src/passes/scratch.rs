@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use super::frame::FrameTask;
 use super::levels::Levels;
 use super::spread::{lanes, painters, sort_workers};
-use super::windows::{COVERED_BYTES, FRAGMENT_BYTES, most_pixels};
+use super::windows::{FRAGMENT_BYTES, covered_bytes, most_pixels};
 use crate::gpu::Gpu;
 use crate::gpu::buffer;
 use crate::plan::{FramePlan, Pass};
@@ -273,7 +273,7 @@ impl Scratch {
         if task.composites() {
             let pixels = pixels.min(task.window_pixels.into());
             self.fragments.reserve(gpu, pixels * FRAGMENT_BYTES);
-            self.covered.reserve(gpu, pixels * COVERED_BYTES);
+            self.covered.reserve(gpu, pixels * covered_bytes(scene.looks.transmits));
         }
         if task.plan.runs(Pass::Pull) {
             for patches in &mut self.patches {

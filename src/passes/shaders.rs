@@ -86,6 +86,7 @@ fragments![
     "shared/colour",
     "shared/mean",
     "shared/material",
+    "shared/transmits",
     "shared/texture",
     "shared/barycentric",
     "shared/alpha_none",

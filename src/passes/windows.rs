@@ -7,8 +7,11 @@ use std::ops::Range;
 pub const LAYERS: u32 = 8;
 /// Bytes of the fragments of a pixel.
 pub const FRAGMENT_BYTES: u64 = 8 * LAYERS as u64;
-/// Bytes of what they cover of it: colour and alpha.
-pub const COVERED_BYTES: u64 = 16;
+/// Bytes of what they cover of it: colour and alpha, and how much of each channel where light may pass surfaces.
+pub const fn covered_bytes(transmits: bool) -> u64 {
+    if transmits { 32 } else { 16 }
+}
+
 /// Bytes of the fragments of a window, at most.
 const MOST_BYTES: u64 = 128 << 20;
 

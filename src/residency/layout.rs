@@ -198,13 +198,16 @@ pub struct GpuMaterial {
     pub normal_scale: f32,
     pub occlusion_strength: f32,
     pub grazing: f32,
-    pub unused: u32,
+    pub transmission: f32,
+    pub volume: [f32; 3],
+    pub transmission_map: u32,
 }
 
 pub const MATERIAL_DOUBLE_SIDED: u32 = 1;
 pub const MATERIAL_UNLIT: u32 = 2;
 pub const MATERIAL_ALPHA_TEST: u32 = 4;
 pub const MATERIAL_PHYSICAL: u32 = 8;
+pub const MATERIAL_SOLID: u32 = 16;
 
 pub const OVERRIDE_BASE_COLOR: u32 = 1;
 pub const OVERRIDE_SPECULAR: u32 = 2;
@@ -214,6 +217,7 @@ pub const OVERRIDE_DOUBLE_SIDED: u32 = 16;
 pub const OVERRIDE_METALLIC: u32 = 32;
 pub const OVERRIDE_ROUGHNESS: u32 = 64;
 pub const OVERRIDE_EMISSIVE: u32 = 128;
+pub const OVERRIDE_TRANSMISSION: u32 = 256;
 
 /// `Texture` of `shared/texture.wgsl`.
 #[repr(C)]

@@ -112,6 +112,8 @@ pub struct Looks {
     pub physical: bool,
     /// Some material gives off light.
     pub emissive: bool,
+    /// Some material lets light pass in place of scattering it.
+    pub transmits: bool,
     /// Some material has maps beside that of its colour.
     pub maps: bool,
     pub unlit: bool,

@@ -35,6 +35,9 @@ pub(super) fn gpu_material(material: &Material, texture_start: u32) -> GpuMateri
     if material.physical.is_some() {
         flags |= MATERIAL_PHYSICAL;
     }
+    if !material.blends() {
+        flags |= MATERIAL_SOLID;
+    }
     let numbered = |texture: Option<u32>| texture.map_or(0, |own| texture_start + own + 1);
     // Where it is one of Phong's model, what a node's metallic value or roughness begins with.
     let physical = material.physical.unwrap_or_default();
@@ -59,7 +62,9 @@ pub(super) fn gpu_material(material: &Material, texture_start: u32) -> GpuMateri
         normal_scale: normal_map.map_or(0.0, |own| own.factor),
         occlusion_strength: occlusion_map.map_or(0.0, |own| own.factor),
         grazing: physical.grazing,
-        unused: 0,
+        transmission: physical.transmission,
+        volume: physical.volume,
+        transmission_map: numbered(physical.transmission_map),
     }
 }
 
@@ -84,6 +89,10 @@ fn gpu_override(spec: &MaterialSpec) -> GpuMaterial {
     if let Some(roughness) = spec.roughness {
         out.roughness = roughness;
         out.overrides |= OVERRIDE_ROUGHNESS;
+    }
+    if let Some(transmission) = spec.transmission {
+        out.transmission = transmission;
+        out.overrides |= OVERRIDE_TRANSMISSION;
     }
     if let Some(emissive) = spec.emissive {
         out.emissive = emissive;
@@ -206,6 +215,8 @@ fn looks(model: &SceneModel) -> Looks {
         || model.materials.iter().any(MaterialSpec::is_physical);
     let emissive = materials.clone().any(|own| own.emissive != black)
         || model.materials.iter().any(|spec| spec.emissive.is_some_and(|own| own != black));
+    let transmits = materials.clone().any(Material::transmits)
+        || model.materials.iter().any(MaterialSpec::transmits);
     let polished = model.materials.iter().any(|spec| spec.specular.is_some_and(|s| s != black));
     Looks {
         textures,
@@ -214,6 +225,7 @@ fn looks(model: &SceneModel) -> Looks {
         specular: shines || polished,
         physical,
         emissive,
+        transmits,
         maps,
         unlit,
         point_lights: model.lights.iter().any(|light| matches!(light, Light::Point { .. })),

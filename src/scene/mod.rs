@@ -158,6 +158,8 @@ pub struct MaterialSpec {
     /// 0 to 1; with this or `roughness`, the metallic-roughness model of glTF takes the place of Phong's.
     pub metallic: Option<f32>,
     pub roughness: Option<f32>,
+    /// 0 to 1: light that passes in place of being scattered below the surface; also of the metallic-roughness model.
+    pub transmission: Option<f32>,
     /// Linear RGB of light that the surface gives off.
     pub emissive: Option<[f32; 3]>,
     pub unlit: Option<bool>,
@@ -167,7 +169,7 @@ pub struct MaterialSpec {
 impl MaterialSpec {
     /// Whether it makes surfaces reflect as the metallic-roughness model has it.
     pub fn is_physical(&self) -> bool {
-        self.metallic.is_some() || self.roughness.is_some()
+        self.metallic.is_some() || self.roughness.is_some() || self.transmission.is_some()
     }
 
     /// Whether it makes surfaces reflect as Phong's model has it.
@@ -175,9 +177,14 @@ impl MaterialSpec {
         self.specular.is_some() || self.shininess.is_some()
     }
 
-    /// Whether meshes of this colour let what is behind them show through.
+    /// Whether meshes of this material let what is behind them show through.
     pub fn is_translucent(&self) -> bool {
-        self.base_color.is_some_and(|color| color[3] < 1.0)
+        self.base_color.is_some_and(|color| color[3] < 1.0) || self.transmits()
+    }
+
+    /// Whether it lets light pass in place of scattering it.
+    pub fn transmits(&self) -> bool {
+        self.transmission.is_some_and(|share| share > 0.0)
     }
 }
 

@@ -288,6 +288,10 @@ pub(super) struct MaterialWire {
     /// From 0, for mirrors, to 1; in the metallic-roughness model of glTF. Without it the asset's own, or 1.
     #[serde(default)]
     pub roughness: Option<f64>,
+    /// From 0 to 1, the share of the light that is not reflected which passes surfaces of meshes, tinted by their colour, in place of being
+    /// scattered below them; in the metallic-roughness model of glTF. Without it the asset's own, or 0.
+    #[serde(default)]
+    pub transmission: Option<f64>,
     /// Colour of light that the surface gives off.
     #[serde(default)]
     pub emissive: Option<ColorWire>,

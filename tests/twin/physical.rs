@@ -45,6 +45,153 @@ fn factors_reflect_as_the_reference_has_it() {
     case.check(&super::orthographic::look([0.3, 0.4, 5.2], [0.0; 3], 4.0), &tolerance);
 }
 
+/// Balls and sheets of glass before each other, a checkered wall and the background: tinted, with alpha, a map and a volume, as cut-outs, rough
+/// and metallic.
+fn glasses(name: &str, more: Value) -> Case {
+    let mut glb = Glb::new();
+    let half = picture(8, 8, |x, _| [if x < 4 { 255 } else { 60 }, 0, 0, 255]);
+    let half = glb.texture(&half, json!({ "magFilter": LINEAR }));
+    let leaf = picture(8, 8, |x, y| [255, 240, 180, if (x + y) % 4 == 0 { 0 } else { 200 }]);
+    let leaf = glb.texture(&leaf, json!({}));
+    let glass = |color: [f64; 4], share: f64, more: Value| {
+        let mut glass = json!({ "doubleSided": true,
+            "pbrMetallicRoughness": { "baseColorFactor": color, "metallicFactor": 0, "roughnessFactor": 0.1 },
+            "extensions": { "KHR_materials_transmission": { "transmissionFactor": share } } });
+        merge(&mut glass, &more);
+        glass
+    };
+    let parts = [
+        (true, glass([0.9, 0.95, 1.0, 0.4], 1.0, json!({})), [-1.4, 0.7, 0.0]),
+        (
+            true,
+            glass(
+                [0.2, 0.9, 0.3, 1.0],
+                0.8,
+                json!({ "pbrMetallicRoughness": { "roughnessFactor": 0.6 } }),
+            ),
+            [0.0, 0.7, 0.3],
+        ),
+        (true, glass([1.0, 0.8, 0.4, 0.5], 0.9, json!({ "alphaMode": "BLEND" })), [1.3, 0.7, 0.0]),
+        (
+            false,
+            glass(
+                [1.0, 1.0, 1.0, 1.0],
+                0.9,
+                json!({ "extensions": { "KHR_materials_volume": {
+            "thicknessFactor": 0.5, "attenuationDistance": 0.7, "attenuationColor": [0.9, 0.3, 0.1] } } }),
+            ),
+            [-1.2, -0.7, 0.4],
+        ),
+        (
+            false,
+            glass(
+                [0.8, 0.9, 1.0, 1.0],
+                1.0,
+                json!({ "extensions": {
+            "KHR_materials_transmission": { "transmissionTexture": { "index": half } } } }),
+            ),
+            [0.0, -0.7, 0.5],
+        ),
+        (
+            false,
+            glass(
+                [0.5, 1.0, 1.0, 1.0],
+                0.7,
+                json!({ "alphaMode": "MASK", "pbrMetallicRoughness": {
+            "baseColorTexture": { "index": leaf }, "metallicFactor": 0.3 } }),
+            ),
+            [1.2, -0.7, 0.2],
+        ),
+        (
+            false,
+            glass([1.0, 0.5, 0.5, 1.0], 0.8, json!({ "doubleSided": false })),
+            [0.3, -0.5, 0.9],
+        ),
+    ];
+    for (is_ball, material, place) in parts {
+        let material = glb.material(material);
+        let sheet = Shape::quad(DVec3::new(-0.5, -0.5, 0.0), DVec3::X, DVec3::Y, 1.0);
+        let shape = if is_ball { Shape::ball(40, 0.6) } else { sheet };
+        let mesh = glb.mesh(&shape, Some(material));
+        glb.node(mesh, json!({ "translation": place }));
+    }
+    let checks =
+        picture(
+            8,
+            8,
+            |x, y| if (x + y) % 2 == 0 { [240, 90, 40, 255] } else { [30, 60, 200, 255] },
+        );
+    let checks = glb.texture(&checks, json!({}));
+    let wall = glb.material(json!({ "pbrMetallicRoughness": { "baseColorTexture": { "index": checks }, "metallicFactor": 0 } }));
+    let wall = glb.mesh(
+        &Shape::quad(DVec3::new(-1.5, -1.2, -1.0), DVec3::X * 2.2, DVec3::Y * 2.4, 1.0),
+        Some(wall),
+    );
+    glb.node(wall, json!({}));
+    let (files, mut scene) = scene(glb);
+    merge(&mut scene, &more);
+    Case::new(name, &files, &scene)
+}
+
+/// Lays the keys of one object over those of another, level by level.
+fn merge(to: &mut Value, from: &Value) {
+    match (to.as_object_mut(), from.as_object()) {
+        (Some(to), Some(from)) => {
+            for (key, value) in from {
+                merge(to.entry(key).or_insert(Value::Null), value);
+            }
+        }
+        _ => *to = from.clone(),
+    }
+}
+
+#[test]
+fn glass_lets_light_pass_as_the_reference_has_it() {
+    let frames = glasses("glass", json!({})).check(&front(), &Tolerance::default());
+    assert!(frames.ran(Pass::CompositeLayers));
+    let tilted = look([1.9, 0.8, 2.6], [0.2, 0.0, 0.0], 55.0);
+    glasses("glass-tilted", json!({})).check(&tilted, &Tolerance::default());
+    glasses("glass-unlit", json!({ "lights": [] })).check(&front(), &Tolerance::default());
+    let fog = json!({ "fog": { "color": "#8090a0", "density": 0.15 } });
+    glasses("glass-fog", fog).check(&front(), &Tolerance::default());
+    let parallel = super::orthographic::look([0.4, 0.6, 5.0], [0.0; 3], 3.4);
+    glasses("glass-parallel", json!({})).check(&parallel, &Tolerance::default());
+}
+
+/// What lies behind is tinted, not only dimmed: green glass leaves green of white, and alpha does not count where it does not blend.
+#[test]
+fn glass_tints_what_lies_behind() {
+    let glass = |color: [f64; 4]| {
+        let mut glb = Glb::new();
+        let material = glb.material(json!({ "extensions": { "KHR_materials_transmission": { "transmissionFactor": 1 } },
+            "pbrMetallicRoughness": { "baseColorFactor": color, "metallicFactor": 0, "roughnessFactor": 0 } }));
+        let sheet = Shape::quad(DVec3::new(-2.0, -2.0, 0.0), DVec3::X * 4.0, DVec3::Y * 4.0, 1.0);
+        let mesh = glb.mesh(&sheet, Some(material));
+        glb.node(mesh, json!({}));
+        let scene = json!({ "assets": { "m": { "file": "m.glb" } }, "nodes": [{ "asset": "m" }],
+            "lights": [], "background": "#ffffff" });
+        let case = Case::new("glass-tint", &[("m.glb", glb.finish())], &scene);
+        let frames = case.check(&look([0.0, 0.0, 2.0], [0.0; 3], 40.0), &Tolerance::default());
+        frames.color[frames.color.len() / 2]
+    };
+    let [r, g, b, _] = glass([0.05, 1.0, 0.05, 0.25]);
+    assert!(g >= 254 && r < 70 && b < 70, "{r} {g} {b}");
+    assert_eq!(glass([0.05, 1.0, 0.05, 1.0])[..3], [r, g, b]);
+}
+
+/// A node lays glass over an opaque ball, and its samples stay as they are.
+#[test]
+fn nodes_of_glass() {
+    let ball = Shape::ball(30, 0.7);
+    let scene = json!({ "assets": { "ball": { "file": "ball.ply" } },
+        "materials": { "glass": { "color": "#70d0a0", "roughness": 0.05, "transmission": 0.9 }, "clay": { "roughness": 1, "transmission": 0 } },
+        "nodes": [{ "asset": "ball", "material": "glass" }, { "asset": "ball", "material": "clay", "translate": [0.9, 0.2, -0.8] }],
+        "lights": lights() });
+    let case = Case::new("glass-node", &[("ball.ply", ball.ply())], &scene);
+    let frames = case.check(&front(), &Tolerance::default());
+    assert!(frames.ran(Pass::CompositeLayers));
+}
+
 /// Bumps, rougher and smoother places, dark folds and glowing spots.
 fn maps(glb: &mut Glb) -> Value {
     let wave = |x: u32, period: f64| (f64::from(x) * std::f64::consts::TAU / period).sin();

@@ -11,6 +11,7 @@
 
 use std::collections::HashMap;
 
+use ::gltf::json::extensions::material::Volume;
 use ::gltf::json::extensions::texture::TextureTransform as Transform;
 use ::gltf::json::material::AlphaMode;
 use ::gltf::json::texture::{self as json_texture, MagFilter, WrappingMode};
@@ -76,6 +77,9 @@ struct Surface {
     metallic: f32,
     roughness: f32,
     map: Option<Reference>,
+    transmission: f32,
+    transmission_map: Option<Reference>,
+    volume: [f32; 3],
 }
 
 /// The maps that a document names beside those of a [`Surface`], each with the factor of what it shows.
@@ -118,9 +122,11 @@ impl<'a> Materials<'a> {
         // Unlit materials have no other map (KHR_materials_unlit).
         let maps = if unlit { Maps::NONE } else { Maps::of(source) };
         let map = surface.map.filter(|_| !unlit);
+        let transmission_map = surface.transmission_map.filter(|_| !unlit);
         let references = [
             surface.texture,
             map,
+            transmission_map,
             maps.normal.map(|own| own.0),
             maps.occlusion.map(|own| own.0),
             maps.emissive,
@@ -135,6 +141,9 @@ impl<'a> Materials<'a> {
             dielectric: surface.dielectric.map(unit),
             grazing: surface.grazing,
             map: self.texture(map, Encoding::Linear, place),
+            transmission: surface.transmission,
+            transmission_map: self.texture(transmission_map, Encoding::Linear, place),
+            volume: surface.volume,
         };
         let mut scaled = |own: Option<(Reference, f32)>| {
             let (reference, factor) = own?;
@@ -156,6 +165,7 @@ impl<'a> Materials<'a> {
             let dielectric = physical.dielectric[channel];
             dielectric + (base[channel] - dielectric) * physical.metallic
         });
+        let transmits = !unlit && physical.transmission > 0.0;
         self.materials.push(Material {
             name,
             base_color: [r, g, b, a],
@@ -170,7 +180,7 @@ impl<'a> Materials<'a> {
             double_sided: source.double_sided,
             unlit,
             alpha_cutoff,
-            translucent: matches!(source.alpha_mode, Checked::Valid(AlphaMode::Blend)),
+            translucent: transmits || matches!(source.alpha_mode, Checked::Valid(AlphaMode::Blend)),
         });
         let known = (self.materials.len() as u32 - 1, placement);
         self.known.insert(index.value(), known);
@@ -187,7 +197,8 @@ impl<'a> Materials<'a> {
             "material {}: its textures are left out of a mesh that has no texture coordinates",
             own.name
         ));
-        let physical = own.physical.map(|own| Physical { map: None, ..own });
+        let plain = |own| Physical { map: None, transmission_map: None, ..own };
+        let physical = own.physical.map(plain);
         self.materials.push(Material {
             base_texture: None,
             emissive_map: None,
@@ -303,6 +314,7 @@ fn metallic_roughness(source: &material::Material) -> Surface {
         let ior = own.ior.0;
         ((ior - 1.0) / (ior + 1.0)).powi(2)
     });
+    let transmission = extensions.and_then(|ext| ext.transmission.as_ref());
     Surface {
         base: model.base_color_factor.0,
         texture: model.base_color_texture.as_ref().map(reference),
@@ -311,7 +323,18 @@ fn metallic_roughness(source: &material::Material) -> Surface {
         metallic: unit(model.metallic_factor.0),
         roughness: model.roughness_factor.0,
         map: model.metallic_roughness_texture.as_ref().map(reference),
+        transmission: transmission.map_or(0.0, |own| unit(own.transmission_factor.0)),
+        transmission_map: transmission
+            .and_then(|own| own.transmission_texture.as_ref().map(reference)),
+        volume: extensions.and_then(|ext| ext.volume.as_ref()).map_or([1.0; 3], left_by),
     }
+}
+
+/// What a volume leaves of white light that passes it by its thickness (KHR_materials_volume, Beer's law).
+fn left_by(volume: &Volume) -> [f32; 3] {
+    let depth = volume.thickness_factor.0 / volume.attenuation_distance.0;
+    let depth = if depth.is_finite() { depth.max(0.0) } else { 0.0 };
+    volume.attenuation_color.0.map(|channel| unit(channel).powf(depth))
 }
 
 /// Light that the surface gives off; KHR_materials_emissive_strength lets it exceed 1.
@@ -390,6 +413,9 @@ fn specular_glossiness(source: &material::Material) -> Option<Surface> {
         metallic: 0.0,
         roughness: 1.0 - unit(glossiness),
         map: None,
+        transmission: 0.0,
+        transmission_map: None,
+        volume: [1.0; 3],
     })
 }
 

@@ -427,6 +427,18 @@ fn metals_maps_and_light_of_their_own() {
 #[test]
 fn specular_glossiness_is_understood() {
     let mut document = textured();
+    document.json["materials"] = json!([{ "extensions": {
+        "KHR_materials_transmission": { "transmissionFactor": 0.75, "transmissionTexture": { "index": 0 } },
+        "KHR_materials_volume": { "thicknessFactor": 2, "attenuationDistance": 4, "attenuationColor": [0.25, 1, 0] } } }]);
+    document.json["extensionsRequired"] = json!(["KHR_materials_transmission"]);
+    let asset = document.read().unwrap();
+    let (own, physical) = (&asset.materials[0], asset.materials[0].physical.unwrap());
+    assert!(own.translucent && own.transmits() && !own.blends() && own.has_maps());
+    assert_eq!((physical.transmission, physical.transmission_map), (0.75, Some(0)));
+    assert_eq!(physical.volume, [0.5, 1.0, 0.0]);
+    document.json["materials"][0]["extensions"]["KHR_materials_unlit"] = json!({});
+    let asset = document.read().unwrap();
+    assert!(!asset.materials[0].translucent && !asset.materials[0].has_maps());
     document.json["materials"] = json!([{ "alphaMode": "BLEND", "extensions": {
         "KHR_materials_pbrSpecularGlossiness": { "diffuseFactor": [0, 1, 0, 0.5],
             "specularFactor": [0.1, 0.2, 0.3], "glossinessFactor": 0.5,

@@ -43,6 +43,8 @@ struct Definition {
     /// `Pm` and `Pr`, statements beside those of MTL that many programs write for the metallic-roughness model.
     metallic: Option<f32>,
     roughness: Option<f32>,
+    /// `Tf`: what the surface lets pass, of each channel. It counts beside `Pm` and `Pr` alone, since others write 1 for opaque materials, too.
+    filter: Option<[f32; 3]>,
     metallic_map: Option<Map>,
     roughness_map: Option<Map>,
     emissive_map: Option<Map>,
@@ -182,6 +184,7 @@ impl Definition {
             b"ke" => self.emissive = color(tokens).unwrap_or_default(),
             b"pm" => self.metallic = first(tokens),
             b"pr" => self.roughness = first(tokens),
+            b"tf" => self.filter = color(tokens),
             b"map_pm" => self.metallic_map = Some(map(&mut tokens)),
             b"map_pr" => self.roughness_map = Some(map(&mut tokens)),
             b"map_ke" => self.emissive_map = Some(map(&mut tokens)),
@@ -227,10 +230,15 @@ impl Definition {
             own => own.unwrap_or(plain).clamp(0.0, 1.0),
         };
         let is_rough = reflection.is_some() && self.roughness_map.is_some();
+        let filter = self.filter.filter(|_| is_physical).unwrap_or_default();
+        let transmission = filter.into_iter().fold(0.0, f32::max).min(1.0);
+        let passed = |channel: f32| (channel / transmission).clamp(0.0, 1.0);
         let physical = is_physical.then(|| Physical {
             metallic: factor(self.metallic, has_metal, 0.0),
             roughness: factor(self.roughness, is_rough, 1.0),
             map: reflection.map(|(number, _)| number),
+            transmission,
+            volume: if transmission > 0.0 { filter.map(passed) } else { [1.0; 3] },
             ..Physical::default()
         });
         let mut load = |map: &Option<Map>, encoding| match map {
@@ -271,7 +279,7 @@ impl Definition {
                 true => Some(LEAST_ALPHA),
                 false => lets_through.then_some(0.5),
             },
-            translucent: alpha < 1.0,
+            translucent: alpha < 1.0 || transmission > 0.0,
             ..Material::default()
         }
     }
@@ -464,6 +472,14 @@ mod tests {
         assert_eq!(material("Pr 7\nPm -1").physical.unwrap().roughness, 1.0);
         assert_eq!(material("Ks 1 1 1\nNs 40\nillum 2").physical, None);
         assert_eq!(material("Pm 1\nillum 0").physical, None);
+        let glass = material("Pr 0.1\nTf 0.25 0.5 0.5");
+        let own = glass.physical.unwrap();
+        assert_eq!((own.transmission, own.volume), (0.5, [0.5, 1.0, 1.0]));
+        assert!(glass.translucent && glass.transmits() && !glass.blends());
+        for opaque in ["Tf 1 1 1", "Tf 1 1 1\nillum 2", "Tf 0 0 0\nPr 1", "Tf 1 1 1\nPr 1\nillum 0"]
+        {
+            assert!(!material(opaque).translucent, "{opaque}");
+        }
         let ember = material("Ke 1 0 0.5\nKd 0 0 0");
         assert_eq!(ember.emissive, [1.0, 0.0, linear_from_srgb(0.5)]);
         assert_eq!(material("Ke 1 1 1\nillum 0").emissive, [0.0; 3]);

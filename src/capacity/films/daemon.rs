@@ -267,6 +267,7 @@ impl Daemon {
         self.station.serve(world.now_ns(), world.plan.daemon.beat_ns);
         let (busy, idle_ns) = worker.state(world.now_ns());
         let beat = Beat {
+            identity: String::new(),
             worker: format!("{number:040}"),
             kind: KIND.to_owned(),
             adapter: String::new(),

@@ -23,7 +23,7 @@ pub(super) fn farm_store(args: &ServeArgs) -> anyhow::Result<Option<(Address, St
         }
     };
     let (credentials, ca) = (args.nats_credentials.clone(), args.nats_ca.clone());
-    Ok(Some((Address { url, credentials, ca }, Store::open(store)?)))
+    Ok(Some((Address { url, credentials, ca }, Store::create(store)?)))
 }
 
 /// Has the frames of jobs drawn by workers.

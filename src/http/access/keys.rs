@@ -50,7 +50,9 @@ fn parse_lines(text: &str) -> Result<Vec<ApiKey>, String> {
         let fail = |what: &str| format!("line {}: {what}", index + 1);
         let words: Vec<&str> = line.split_whitespace().collect();
         let [name, word, hex] = words[..] else {
-            return Err(fail("expected `name scope sha256hex`"));
+            return Err(fail(
+                "expected `name scope sha256hex`; the name of a file in TOML must end in `.toml`",
+            ));
         };
         let scope = scope(word).map_err(fail)?;
         let hash = parse_hash(hex).ok_or_else(|| fail(BAD_HASH))?;

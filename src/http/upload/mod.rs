@@ -11,6 +11,7 @@
 //! bytes.
 
 pub mod follow;
+mod form;
 pub mod quota;
 pub mod store;
 
@@ -19,6 +20,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
+use axum::body::Body;
 use axum::extract::{FromRequest, Multipart, Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
@@ -28,6 +30,7 @@ use futures::Stream;
 use glam::DVec3;
 use tokio::io::AsyncWriteExt;
 
+use self::form::{Limited, Progress};
 use self::quota::Share;
 use self::store::{FOLDER, Record};
 use super::names::{disposition_name, is_json_name, main_file, slug, valid_file_name, valid_id};
@@ -318,10 +321,18 @@ async fn receive(
     let media_type = body::media_type(headers);
     let folder = PartialFolder::create(&app.settings.root).await?;
     if media_type == "multipart/form-data" {
-        let mut form = Multipart::from_request(request, &())
+        let progress = Progress::default();
+        let limited =
+            |body: Body| Body::from_stream(Limited::new(body.into_data_stream(), progress.clone()));
+        let mut form = Multipart::from_request(request.map(limited), &())
             .await
             .map_err(|error| Problem::new(Kind::BadBody, error.body_text()).at("Content-Type"))?;
-        return receive_form(&mut form, folder, target, budget).await;
+        let received = receive_form(&mut form, folder, target, budget, &progress).await;
+        return if progress.is_over() {
+            Err(Problem::new(Kind::BadBody, form::too_long()))
+        } else {
+            received
+        };
     }
     let name = match &target.name {
         Some(name) => Some(name.clone()),
@@ -339,7 +350,7 @@ async fn receive(
         budget.limit_to(app.engine.limits().max_json_bytes);
     }
     let mut stream = request.into_body().into_data_stream();
-    write_file(&folder.path().join(&main), &mut stream, budget).await?;
+    write_file(&folder.path().join(&main), &mut stream, budget, &Progress::default()).await?;
     Ok(Received { folder, main, from_root })
 }
 
@@ -391,6 +402,7 @@ async fn write_file<E: std::fmt::Display>(
     path: &Path,
     stream: &mut (impl Stream<Item = Result<Bytes, E>> + Unpin),
     budget: &mut Budget,
+    progress: &Progress,
 ) -> Result<(), Problem> {
     let mut file =
         tokio::fs::OpenOptions::new().write(true).create_new(true).open(path).await.map_err(
@@ -402,6 +414,7 @@ async fn write_file<E: std::fmt::Display>(
             },
         )?;
     while let Some(chunk) = budget.patience.next_chunk(stream).await? {
+        progress.reset();
         budget.take(chunk.len())?;
         file.write_all(&chunk).await.map_err(|error| storage(&error))?;
     }
@@ -416,6 +429,7 @@ async fn receive_form(
     folder: PartialFolder,
     target: &Target,
     budget: &mut Budget,
+    progress: &Progress,
 ) -> Result<Received, Problem> {
     let broken = |error: axum::extract::multipart::MultipartError| {
         Problem::new(Kind::BadBody, format!("the form cannot be read: {}", error.body_text()))
@@ -424,6 +438,7 @@ async fn receive_form(
     loop {
         let next = budget.patience.wait(form.next_field()).await?;
         let Some(mut field) = next.map_err(broken)? else { break };
+        progress.reset();
         let name = match (field.file_name(), field.name()) {
             (Some(name), _) => valid_file_name(name)?,
             (None, Some("scene")) => SCENE_FILE.to_owned(),
@@ -439,12 +454,12 @@ async fn receive_form(
             return Err(Problem::new(Kind::BodyTooLarge, "too many files in one form")
                 .accepted(format!("at most {MAX_FILES} files")));
         }
-        write_file(&folder.path().join(&name), &mut field, budget).await.map_err(|problem| {
-            match problem.parameter {
+        write_file(&folder.path().join(&name), &mut field, budget, progress).await.map_err(
+            |problem| match problem.parameter {
                 Some(_) => problem.at(name.clone()),
                 None => problem,
-            }
-        })?;
+            },
+        )?;
         names.push(name);
     }
     let main = main_file(&names, target.name.as_deref())?;

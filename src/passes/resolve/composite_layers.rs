@@ -1,5 +1,6 @@
 //! Translucent surfaces over the image.
 
+use super::layer_constants;
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::Recorder;
 
@@ -8,5 +9,6 @@ const GROUP: u32 = 64;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let pixels = recorder.window_pixels();
-    recorder.rows(pixels.div_ceil(GROUP), 1, Vec::new())
+    let constants = layer_constants(recorder);
+    recorder.rows(pixels.div_ceil(GROUP), 1, constants)
 }

@@ -102,6 +102,12 @@ fn output_constants(recorder: &Recorder) -> Constants {
     constants
 }
 
+/// Override of `shared/transmits`, of passes over translucent surfaces.
+fn layer_constants(recorder: &Recorder) -> Constants {
+    let transmits = recorder.stage.is_windowed() && recorder.scene.looks.transmits;
+    transmits.then_some(("TRANSMITS", 1)).into_iter().collect()
+}
+
 fn constants(recorder: &Recorder) -> Constants {
     let looks = recorder.scene.looks;
     let mut constants = if choices(recorder).kept {
@@ -114,6 +120,7 @@ fn constants(recorder: &Recorder) -> Constants {
         output_constants(recorder)
     };
     constants.extend(recolor_constants(recorder));
+    constants.extend(layer_constants(recorder));
     constants.push(("TEXTURES", u32::from(looks.textures)));
     constants.push(("MAPS", u32::from(looks.maps)));
     constants

@@ -184,7 +184,9 @@ fn records_match_the_shaders() {
             normal_scale,
             occlusion_strength,
             grazing,
-            unused
+            transmission,
+            volume,
+            transmission_map
         )],
     );
 }

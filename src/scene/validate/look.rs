@@ -33,10 +33,12 @@ pub(super) fn material(name: &str, wire: &MaterialWire, place: Place<'_>) -> Val
     };
     let metallic = share(wire.metallic, "metallic")?;
     let roughness = share(wire.roughness, "roughness")?;
+    let transmission = share(wire.transmission, "transmission")?;
+    let is_physical = metallic.is_some() || roughness.is_some() || transmission.is_some();
     for (key, other) in [("specular", specular.is_some()), ("shininess", shininess.is_some())] {
-        if other && (metallic.is_some() || roughness.is_some()) {
+        if other && is_physical {
             return place.key(key).refuse(
-                "a material has `specular` and `shininess`, or `metallic` and `roughness`: they belong to different models",
+                "a material has `specular` and `shininess`, or `metallic`, `roughness` and `transmission`: they belong to different models",
             );
         }
     }
@@ -60,6 +62,7 @@ pub(super) fn material(name: &str, wire: &MaterialWire, place: Place<'_>) -> Val
         shininess,
         metallic,
         roughness,
+        transmission,
         emissive,
         unlit: wire.unlit,
         double_sided: wire.double_sided,

@@ -1,0 +1,179 @@
+//! Answers that clients have not read yet. Their bytes stay in memory, where a connection's library takes a whole image at once, so they are bounded: for
+//! each client, and for all together.
+
+use std::collections::HashMap;
+use std::convert::Infallible;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use axum::body::{Body, HttpBody};
+use bytes::Bytes;
+use hyper::body::{Frame, SizeHint};
+use parking_lot::Mutex;
+
+use super::problem::{Kind, Problem};
+use crate::engine::Client;
+use crate::memory::Admission;
+
+/// Smaller answers are not counted.
+const SMALL: usize = 16 << 10;
+/// Bytes that a connection takes at a time. It may copy them.
+const PIECE: usize = 64 << 10;
+/// Least limits of a client and of all, in bytes.
+const LEAST: u64 = 64 << 20;
+const LEAST_OF_ALL: u64 = 256 << 20;
+const RETRY: Duration = Duration::from_secs(1);
+
+/// The answers under way.
+pub struct Unread {
+    most: u64,
+    most_of_all: u64,
+    held: Arc<Mutex<HashMap<Client, u64>>>,
+}
+
+impl Unread {
+    /// Returns the limits for a budget of host memory: a quarter for all clients, and a quarter of that for each.
+    pub fn new(budget: u64) -> Unread {
+        let (most, most_of_all) = ((budget / 16).max(LEAST), (budget / 4).max(LEAST_OF_ALL));
+        Unread { most, most_of_all, held: Arc::default() }
+    }
+
+    /// Makes a body of an answer. A client that holds no other one gets an answer of any size.
+    ///
+    /// # Errors
+    /// The client has not read earlier answers, all clients together have not, or the host memory is full.
+    pub fn hold(&self, client: Client, bytes: Bytes, memory: &Admission) -> Result<Body, Problem> {
+        let length = bytes.len() as u64;
+        if bytes.len() <= SMALL {
+            return Ok(Body::from(bytes));
+        }
+        let busy = |text: &str| Problem::new(Kind::Busy, text).retry_after(RETRY);
+        {
+            let mut held = self.held.lock();
+            let own = held.get(&client).copied().unwrap_or_default();
+            if own > 0 && own + length > self.most {
+                let text = format!("answers of {own} bytes have not been read yet");
+                return Err(Problem::new(Kind::TooManyRequests, text)
+                    .accepted(format!("at most {} bytes for each client", self.most))
+                    .retry_after(RETRY));
+            }
+            if held.values().sum::<u64>() + length > self.most_of_all {
+                return Err(busy("too many answers have not been read yet"));
+            }
+            *held.entry(client).or_default() += length;
+        }
+        let share = Share { client, length, held: self.held.clone() };
+        memory.grow("an answer", length).map_err(|_| busy("the memory is full"))?;
+        let owner = Owner { bytes, _share: share, _memory: memory.keep(length) };
+        Ok(Body::new(Pieces(Bytes::from_owner(owner))))
+    }
+}
+
+/// A client's share, until it is dropped.
+struct Share {
+    client: Client,
+    length: u64,
+    held: Arc<Mutex<HashMap<Client, u64>>>,
+}
+
+impl Drop for Share {
+    fn drop(&mut self) {
+        let mut held = self.held.lock();
+        if let Some(own) = held.get_mut(&self.client) {
+            *own = own.saturating_sub(self.length);
+            if *own == 0 {
+                held.remove(&self.client);
+            }
+        }
+    }
+}
+
+/// Bytes with what they hold. It is freed with the last part of them that a connection keeps.
+struct Owner {
+    bytes: Bytes,
+    _share: Share,
+    _memory: crate::memory::Reservation,
+}
+
+impl AsRef<[u8]> for Owner {
+    fn as_ref(&self) -> &[u8] {
+        &self.bytes
+    }
+}
+
+/// A body in pieces, of known length.
+struct Pieces(Bytes);
+
+impl HttpBody for Pieces {
+    type Data = Bytes;
+    type Error = Infallible;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        _: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, Infallible>>> {
+        if self.0.is_empty() {
+            return Poll::Ready(None);
+        }
+        let length = self.0.len().min(PIECE);
+        Poll::Ready(Some(Ok(Frame::data(self.0.split_to(length)))))
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        SizeHint::with_exact(self.0.len() as u64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::memory::HostMemory;
+
+    #[tokio::test]
+    async fn answers_hold_memory_until_they_are_read() {
+        let memory = HostMemory::new(1 << 30);
+        let admission = || Admission::new(&memory);
+        let unread = Unread::new(memory.budget());
+        let (one, other) = (Client::Caller(1), Client::Caller(2));
+        let image = || Bytes::from(vec![7_u8; 40 << 20]);
+        let body = unread.hold(one, image(), &admission()).unwrap();
+        assert_eq!(body.size_hint().exact(), Some(40 << 20));
+        assert_eq!(memory.in_use(), 40 << 20);
+        let refused = unread.hold(one, image(), &admission()).unwrap_err();
+        assert_eq!(refused.kind, Kind::TooManyRequests);
+        // Small answers, and those of others, go on.
+        let _small = unread.hold(one, Bytes::from(vec![0; SMALL]), &admission()).unwrap();
+        let read = axum::body::to_bytes(body, usize::MAX).await.unwrap();
+        assert!(read.len() == 40 << 20 && read.iter().all(|byte| *byte == 7));
+        assert_eq!((memory.in_use(), unread.held.lock().len()), (0, 0));
+        let bodies: Vec<Body> = (0..6)
+            .map(|number| unread.hold(Client::Caller(number), image(), &admission()).unwrap())
+            .collect();
+        assert_eq!(
+            unread.hold(Client::Caller(9), image(), &admission()).unwrap_err().kind,
+            Kind::Busy
+        );
+        drop(bodies);
+        // An answer above the limit, for a client that holds none.
+        let large = Bytes::from(vec![0_u8; 100 << 20]);
+        let body = unread.hold(other, large, &admission()).unwrap();
+        drop(body);
+        assert_eq!(memory.in_use(), 0);
+    }
+
+    #[test]
+    fn a_full_memory_refuses_and_leaves_nothing_behind() {
+        let memory = HostMemory::new(1 << 20);
+        let unread = Unread::new(memory.budget());
+        let image = Bytes::from(vec![0_u8; 2 << 20]);
+        let refused = unread.hold(Client::Unnamed, image, &Admission::new(&memory)).unwrap_err();
+        assert_eq!((refused.kind, memory.in_use()), (Kind::Busy, 0));
+        assert!(unread.held.lock().is_empty());
+    }
+}
