@@ -98,14 +98,18 @@ if have nginx; then
         printf '    include %s/site.conf;\n}\n' "$work"
     } >"$work/nginx.conf"
     checked "nginx.conf (nginx -t)" nginx -t -e stderr -c "$work/nginx.conf"
+    checked "nginx.conf (which server gets what)" scripts/check-routes.py nginx
 else
     lacking "nginx.conf (no nginx)"
 fi
 if have haproxy; then
-    checked "haproxy.cfg (haproxy -c)" haproxy -c -q -f deploy/haproxy.cfg
+    # Warnings are faults, too; -q would hide them.
+    quiet_haproxy() { haproxy -c -f "$1" 2>&1 | tee /dev/stderr | { ! grep -q WARNING; }; }
+    checked "haproxy.cfg (haproxy -c)" quiet_haproxy deploy/haproxy.cfg
     # A cluster runs HAProxy 3; older ones do not know hash-key.
     sed 's/ hash-key addr-port//' deploy/kubernetes/haproxy.cfg >"$work/cluster.cfg"
-    checked "kubernetes/haproxy.cfg (haproxy -c)" haproxy -c -q -f "$work/cluster.cfg"
+    checked "kubernetes/haproxy.cfg (haproxy -c)" quiet_haproxy "$work/cluster.cfg"
+    checked "haproxy.cfg and kubernetes/haproxy.cfg (which server gets what)" scripts/check-routes.py haproxy
 else
     lacking "haproxy.cfg (no haproxy)"
 fi
