@@ -116,19 +116,49 @@ fi
 
 # --- Prometheus
 if have promtool; then
-    checked "prometheus-rules.yaml (promtool check rules)" promtool check rules deploy/prometheus-rules.yaml
-    checked "prometheus-rules.yaml (promtool test rules)" promtool test rules deploy/prometheus-rules-test.yaml
-    every_alert_is_tested() {
-        local alert
-        for alert in $(sed -n 's/.*- alert: //p' deploy/prometheus-rules.yaml); do
-            grep -A1 "alertname: $alert$" deploy/prometheus-rules-test.yaml | grep -q exp_alerts ||
-                { echo "$alert: no test in which it fires" >&2; return 1; }
-        done
+    for rules in deploy/prometheus-rules.yaml deploy/prometheus-rules-films.yaml; do
+        tests=${rules%.yaml}-test.yaml
+        checked "${rules#deploy/} (promtool check rules)" promtool check rules "$rules"
+        checked "${rules#deploy/} (promtool test rules)" promtool test rules "$tests"
+        every_alert_is_tested() {
+            local alert
+            for alert in $(sed -n 's/.*- alert: //p' "$rules"); do
+                grep -A1 "alertname: $alert$" "$tests" | grep -q exp_alerts ||
+                    { echo "$alert: no test in which it fires" >&2; return 1; }
+                grep -q "\`$alert\`" docs/deploy.md || { echo "$alert: docs/deploy.md does not say what to do" >&2; return 1; }
+            done
+        }
+        checked "${rules#deploy/} (every alert fires in a test, and has advice)" every_alert_is_tested
+    done
+    # The queries of dashboards become rules, which promtool can read.
+    queries_parse() {
+        python3 - "$1" >"$work/queries.yaml" <<'QUERIES'
+import json, sys
+panels = json.load(open(sys.argv[1]))["panels"]
+queries = [target["expr"].replace("$instance", ".*") for panel in panels for target in panel["targets"]]
+rules = [{"record": f"query:{number}", "expr": query} for number, query in enumerate(queries)]
+print(json.dumps({"groups": [{"name": "queries", "rules": rules}]}))
+QUERIES
+        promtool check rules "$work/queries.yaml"
     }
-    checked "prometheus-rules.yaml (every alert fires in a test)" every_alert_is_tested
+    for dashboard in deploy/grafana-dashboard*.json; do
+        checked "${dashboard#deploy/} (queries, promtool check rules)" queries_parse "$dashboard"
+    done
 else
     lacking "prometheus-rules.yaml with 'promtool check rules' (no promtool; Debian's package prometheus has it)"
 fi
+# A server without workers does not have the metrics of films, so tests that ask a server do not know them: their names are looked up in
+# the source.
+film_metrics_exist() {
+    local metric name bad=0
+    for metric in $(grep -ohE 'pointillist_[a-z_]+' deploy/*-films*.yaml deploy/*-films*.json deploy/kubernetes/films/*.yaml | sort -u); do
+        name=${metric#pointillist_}
+        name=${name%_total}
+        grep -rqF "\"$name\"" src || grep -rqF "\"${name%_bytes}\"" src || { echo "$metric: the server has no such metric" >&2; bad=1; }
+    done
+    return "$bad"
+}
+checked "metrics of films (exist)" film_metrics_exist
 
 # --- Kubernetes
 python=${POINTILLIST_PYTHON:-target/python/bin/python}
