@@ -119,7 +119,9 @@ def replaced(text, old, new):
 def haproxy_config(text, port, servers):
     """deploy/haproxy.cfg with the ports of this check."""
     text = replaced(text, "bind :80\n", f"bind 127.0.0.1:{port}\n")
-    for number, address in enumerate(servers):
+    backend = "backend keeper\n    http-request disable-l7-retry unless METH_GET\n    server"
+    text = replaced(text, f"{backend} render1 127.0.0.1:8081", f"{backend} keeper {servers[0]}")
+    for number, address in enumerate(servers[1:]):
         text = replaced(text, f"127.0.0.1:{8081 + number}", address)
     # There may be no such socket here.
     return replaced(text, "    log /dev/log local0\n", "    log 127.0.0.1:9 local0\n")
@@ -139,7 +141,7 @@ def cluster_config(text, port, servers):
 def nginx_config(text, port, servers, folder):
     """deploy/nginx.conf with the ports and folders of this check, as the only file of nginx."""
     one = "server pointillist:8080 max_fails=0;\n    keepalive"
-    everyone = "".join(f"server {address} max_fails=0;\n    " for address in servers)
+    everyone = "".join(f"server {address} max_fails=0;\n    " for address in servers[1:])
     text = replaced(text, f"{one} 32", f"{everyone}keepalive 32")
     text = replaced(text, f"{one} 8", f"server {servers[0]} max_fails=0;\n    keepalive 8")
     text = replaced(text, "listen 80;", f"listen 127.0.0.1:{port};")
@@ -206,7 +208,8 @@ def faults(balancer):
 def main():
     path = os.pathsep.join([str(HERE / "target/servers/bin"), os.environ["PATH"], "/usr/sbin"])
     wanted = sys.argv[1:] or ["haproxy", "nginx"]
-    servers = [start_server(name) for name in ("keeper", "render2", "render3")]
+    # In the backend of all servers, the keeper has another name, so that it is seen by which rule a request reached it.
+    servers = [start_server(name) for name in ("keeper", "render1", "render2", "render3")]
     kinds = {
         "haproxy.cfg": ("haproxy", haproxy_config),
         "kubernetes/haproxy.cfg": ("haproxy", cluster_config),

@@ -62,6 +62,8 @@ yaml_parses() {
 }
 if have docker && docker compose version >/dev/null 2>&1; then
     checked "compose.yaml (docker compose config)" docker compose -f deploy/compose.yaml config --quiet
+    checked "compose.films.yaml (docker compose config)" \
+        docker compose -f deploy/compose.yaml -f deploy/compose.films.yaml config --quiet
 elif have python3 && python3 -c 'import yaml' 2>/dev/null; then
     checked "YAML parses" yaml_parses
 else
@@ -70,21 +72,28 @@ fi
 
 # --- systemd
 if have systemd-analyze; then
-    # The unit as it will be, but with a program that exists here.
-    unit=$work/pointillist.service
-    sed "s|/usr/local/bin/pointillist|$(command -v true)|; /^Documentation=/d" deploy/pointillist.service >"$unit"
-    verify_unit() { systemd-analyze verify "$unit" 2>&1 | tee /dev/stderr | { ! grep -q pointillist; }; }
-    checked "pointillist.service (systemd-analyze verify)" verify_unit
-    # Exposure from 0 (safe) to 10; ours stays in the class that systemd calls OK.
-    if systemd-analyze security --offline=true --threshold=25 "$unit" >"$work/exposure" 2>&1; then
-        ok "pointillist.service:$(sed -n 's/.*\(Overall exposure level\)[^:]*:/ \1/p' "$work/exposure")"
-    elif grep -q 'Overall exposure' "$work/exposure"; then
-        fault "pointillist.service:$(sed -n 's/.*\(Overall exposure level\)/ \1/p' "$work/exposure")"
-    else
-        lacking "pointillist.service's exposure (systemd-analyze is too old for --offline)"
-    fi
+    # A unit as it will be, but with a program that exists here; with a second name, that file is a drop-in.
+    check_unit() { # UNIT [DROP-IN]
+        local name=$1${2:+ with $2} unit=$work/units${2:+-with}/$1
+        mkdir -p "${unit%/*}" ${2:+"$unit.d"}
+        sed "s|/usr/local/bin/pointillist|$(command -v true)|; /^Documentation=/d" "deploy/$1" >"$unit"
+        [ -z "${2:-}" ] || cp "deploy/$2" "$unit.d/"
+        verify_unit() { systemd-analyze verify "$unit" 2>&1 | tee /dev/stderr | { ! grep -q pointillist; }; }
+        checked "$name (systemd-analyze verify)" verify_unit
+        # Exposure from 0 (safe) to 10; ours stays in the class that systemd calls OK.
+        if systemd-analyze security --offline=true --threshold=25 "$unit" >"$work/exposure" 2>&1; then
+            ok "$name:$(sed -n 's/.*\(Overall exposure level\)[^:]*:/ \1/p' "$work/exposure")"
+        elif grep -q 'Overall exposure' "$work/exposure"; then
+            fault "$name:$(sed -n 's/.*\(Overall exposure level\)/ \1/p' "$work/exposure")"
+        else
+            lacking "$name: exposure (systemd-analyze is too old for --offline)"
+        fi
+    }
+    check_unit pointillist.service
+    check_unit pointillist.service pointillist-cluster.conf
+    check_unit pointillist-worker.service
 else
-    lacking "pointillist.service (no systemd-analyze)"
+    lacking "systemd units (no systemd-analyze)"
 fi
 
 # --- proxies; names of other containers resolve only where those run
