@@ -341,6 +341,23 @@ def faults(documents, maps, flags=None):
     return found
 
 
+def collector_faults():
+    """Lists what is wrong with the commented rules of network.yaml for a collector, which replace `egress: []`."""
+    text = (BASE / "network.yaml").read_text()
+    begun = re.search(r"^  egress: \[\]\n((?:  # .*\n)+)", text, re.M)
+    if begun is None:
+        return ["network.yaml: there are no commented rules after `egress: []`"]
+    rules = re.sub(r"^  # ", "  ", begun[1], flags=re.M)
+    policy = next(yaml.safe_load_all(text[: begun.start()] + rules + text[begun.end() :]))
+    found = schema_faults("network.yaml with a collector", json.dumps(policy))
+    labels = {"app.kubernetes.io/name": "pointillist", "app.kubernetes.io/component": "renderer"}
+    if not found and not lets([policy["spec"]], "Egress", labels, {}, {53}):
+        found.append("network.yaml with a collector: renderer has to reach DNS")
+    if not found and all(port["port"] != 4318 for rule in policy["spec"]["egress"] for port in rule["ports"]):
+        found.append("network.yaml with a collector: no rule has its port, 4318")
+    return found
+
+
 def flags_of(binary, command):
     """Returns the environment variables that a command reads."""
     text = subprocess.run([binary, command, "--help"], check=True, capture_output=True, text=True).stdout
@@ -461,7 +478,7 @@ def main():
     found = [*folder_faults(BASE, "Kustomization"), *folder_faults(FILMS, "Component")]
     base, base_maps = load(BASE)
     films, film_maps = load(BASE, FILMS)
-    found += faults(base, base_maps, flags)
+    found += faults(base, base_maps, flags) + collector_faults()
     found += [f"with films: {text}" for text in faults(films, film_maps, flags)]
     tried = 0
     if not found:

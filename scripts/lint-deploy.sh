@@ -62,6 +62,8 @@ yaml_parses() {
 }
 if have docker && docker compose version >/dev/null 2>&1; then
     checked "compose.yaml (docker compose config)" docker compose -f deploy/compose.yaml config --quiet
+    checked "compose.films.yaml (docker compose config)" \
+        docker compose -f deploy/compose.yaml -f deploy/compose.films.yaml config --quiet
 elif have python3 && python3 -c 'import yaml' 2>/dev/null; then
     checked "YAML parses" yaml_parses
 else
@@ -70,21 +72,28 @@ fi
 
 # --- systemd
 if have systemd-analyze; then
-    # The unit as it will be, but with a program that exists here.
-    unit=$work/pointillist.service
-    sed "s|/usr/local/bin/pointillist|$(command -v true)|; /^Documentation=/d" deploy/pointillist.service >"$unit"
-    verify_unit() { systemd-analyze verify "$unit" 2>&1 | tee /dev/stderr | { ! grep -q pointillist; }; }
-    checked "pointillist.service (systemd-analyze verify)" verify_unit
-    # Exposure from 0 (safe) to 10; ours stays in the class that systemd calls OK.
-    if systemd-analyze security --offline=true --threshold=25 "$unit" >"$work/exposure" 2>&1; then
-        ok "pointillist.service:$(sed -n 's/.*\(Overall exposure level\)[^:]*:/ \1/p' "$work/exposure")"
-    elif grep -q 'Overall exposure' "$work/exposure"; then
-        fault "pointillist.service:$(sed -n 's/.*\(Overall exposure level\)/ \1/p' "$work/exposure")"
-    else
-        lacking "pointillist.service's exposure (systemd-analyze is too old for --offline)"
-    fi
+    # A unit as it will be, but with a program that exists here; with a second name, that file is a drop-in.
+    check_unit() { # UNIT [DROP-IN]
+        local name=$1${2:+ with $2} unit=$work/units${2:+-with}/$1
+        mkdir -p "${unit%/*}" ${2:+"$unit.d"}
+        sed "s|/usr/local/bin/pointillist|$(command -v true)|; /^Documentation=/d" "deploy/$1" >"$unit"
+        [ -z "${2:-}" ] || cp "deploy/$2" "$unit.d/"
+        verify_unit() { systemd-analyze verify "$unit" 2>&1 | tee /dev/stderr | { ! grep -q pointillist; }; }
+        checked "$name (systemd-analyze verify)" verify_unit
+        # Exposure from 0 (safe) to 10; ours stays in the class that systemd calls OK.
+        if systemd-analyze security --offline=true --threshold=25 "$unit" >"$work/exposure" 2>&1; then
+            ok "$name:$(sed -n 's/.*\(Overall exposure level\)[^:]*:/ \1/p' "$work/exposure")"
+        elif grep -q 'Overall exposure' "$work/exposure"; then
+            fault "$name:$(sed -n 's/.*\(Overall exposure level\)/ \1/p' "$work/exposure")"
+        else
+            lacking "$name: exposure (systemd-analyze is too old for --offline)"
+        fi
+    }
+    check_unit pointillist.service
+    check_unit pointillist.service pointillist-cluster.conf
+    check_unit pointillist-worker.service
 else
-    lacking "pointillist.service (no systemd-analyze)"
+    lacking "systemd units (no systemd-analyze)"
 fi
 
 # --- proxies; names of other containers resolve only where those run
@@ -98,33 +107,67 @@ if have nginx; then
         printf '    include %s/site.conf;\n}\n' "$work"
     } >"$work/nginx.conf"
     checked "nginx.conf (nginx -t)" nginx -t -e stderr -c "$work/nginx.conf"
+    checked "nginx.conf (which server gets what)" scripts/check-routes.py nginx
 else
     lacking "nginx.conf (no nginx)"
 fi
 if have haproxy; then
-    checked "haproxy.cfg (haproxy -c)" haproxy -c -q -f deploy/haproxy.cfg
+    # Warnings are faults, too; -q would hide them.
+    quiet_haproxy() { haproxy -c -f "$1" 2>&1 | tee /dev/stderr | { ! grep -q WARNING; }; }
+    checked "haproxy.cfg (haproxy -c)" quiet_haproxy deploy/haproxy.cfg
     # A cluster runs HAProxy 3; older ones do not know hash-key.
     sed 's/ hash-key addr-port//' deploy/kubernetes/haproxy.cfg >"$work/cluster.cfg"
-    checked "kubernetes/haproxy.cfg (haproxy -c)" haproxy -c -q -f "$work/cluster.cfg"
+    checked "kubernetes/haproxy.cfg (haproxy -c)" quiet_haproxy "$work/cluster.cfg"
+    checked "haproxy.cfg and kubernetes/haproxy.cfg (which server gets what)" scripts/check-routes.py haproxy
 else
     lacking "haproxy.cfg (no haproxy)"
 fi
 
 # --- Prometheus
 if have promtool; then
-    checked "prometheus-rules.yaml (promtool check rules)" promtool check rules deploy/prometheus-rules.yaml
-    checked "prometheus-rules.yaml (promtool test rules)" promtool test rules deploy/prometheus-rules-test.yaml
-    every_alert_is_tested() {
-        local alert
-        for alert in $(sed -n 's/.*- alert: //p' deploy/prometheus-rules.yaml); do
-            grep -A1 "alertname: $alert$" deploy/prometheus-rules-test.yaml | grep -q exp_alerts ||
-                { echo "$alert: no test in which it fires" >&2; return 1; }
-        done
+    for rules in deploy/prometheus-rules.yaml deploy/prometheus-rules-films.yaml; do
+        tests=${rules%.yaml}-test.yaml
+        checked "${rules#deploy/} (promtool check rules)" promtool check rules "$rules"
+        checked "${rules#deploy/} (promtool test rules)" promtool test rules "$tests"
+        every_alert_is_tested() {
+            local alert
+            for alert in $(sed -n 's/.*- alert: //p' "$rules"); do
+                grep -A1 "alertname: $alert$" "$tests" | grep -q exp_alerts ||
+                    { echo "$alert: no test in which it fires" >&2; return 1; }
+                grep -q "\`$alert\`" docs/deploy.md || { echo "$alert: docs/deploy.md does not say what to do" >&2; return 1; }
+            done
+        }
+        checked "${rules#deploy/} (every alert fires in a test, and has advice)" every_alert_is_tested
+    done
+    # The queries of dashboards become rules, which promtool can read.
+    queries_parse() {
+        python3 - "$1" >"$work/queries.yaml" <<'QUERIES'
+import json, sys
+panels = json.load(open(sys.argv[1]))["panels"]
+queries = [target["expr"].replace("$instance", ".*") for panel in panels for target in panel["targets"]]
+rules = [{"record": f"query:{number}", "expr": query} for number, query in enumerate(queries)]
+print(json.dumps({"groups": [{"name": "queries", "rules": rules}]}))
+QUERIES
+        promtool check rules "$work/queries.yaml"
     }
-    checked "prometheus-rules.yaml (every alert fires in a test)" every_alert_is_tested
+    for dashboard in deploy/grafana-dashboard*.json; do
+        checked "${dashboard#deploy/} (queries, promtool check rules)" queries_parse "$dashboard"
+    done
 else
     lacking "prometheus-rules.yaml with 'promtool check rules' (no promtool; Debian's package prometheus has it)"
 fi
+# A server without workers does not have the metrics of films, so tests that ask a server do not know them: their names are looked up in
+# the source.
+film_metrics_exist() {
+    local metric name bad=0
+    for metric in $(grep -ohE 'pointillist_[a-z_]+' deploy/*-films*.yaml deploy/*-films*.json deploy/kubernetes/films/*.yaml | sort -u); do
+        name=${metric#pointillist_}
+        name=${name%_total}
+        grep -rqF "\"$name\"" src || grep -rqF "\"${name%_bytes}\"" src || { echo "$metric: the server has no such metric" >&2; bad=1; }
+    done
+    return "$bad"
+}
+checked "metrics of films (exist)" film_metrics_exist
 
 # --- Kubernetes
 python=${POINTILLIST_PYTHON:-target/python/bin/python}

@@ -305,7 +305,7 @@ def main():
     parser.add_argument("--time", type=seconds_of, default="30m", help="such as 90s, 30m or 8h")
     parser.add_argument("--seed", type=int, default=None)
     parser.add_argument(
-        "--without", action="append", default=[], choices=[*Faults.GENTLE, *Faults.HARD],
+        "--without", action="append", default=[], choices=list(dict.fromkeys(Faults.GENTLE + Faults.HARD)),
         help="a fault to leave out, such as lose_device with a release build",
     )
     parser.add_argument("--workers", type=int, default=2)
