@@ -219,6 +219,7 @@ impl Remote for Farm {
                 desk,
                 aside: BTreeMap::new(),
                 unqueued: None,
+                obstacle: None,
                 trouble: None,
                 said: Said::default(),
                 began: Instant::now(),
@@ -313,7 +314,9 @@ struct Collection<'a> {
     aside: BTreeMap<u64, String>,
     /// A run that the broker has not confirmed.
     unqueued: Option<Run>,
-    /// The latest failure, until a frame arrives.
+    /// The latest failure of the broker or the store, until both work.
+    obstacle: Option<String>,
+    /// The latest failure of a worker, until a frame arrives.
     trouble: Option<String>,
     said: Said,
     began: Instant,
@@ -347,6 +350,8 @@ impl Collection<'_> {
                 // A broker that lost its files needs the stream again.
                 prepared = false;
                 self.failed(&error).await;
+            } else {
+                self.obstacle = None;
             }
             tell(self.waits_for());
             let Some(notes) = &mut heard else { continue };
@@ -381,7 +386,7 @@ impl Collection<'_> {
         if self.said.is_due(&text) {
             tracing::warn!(film = self.film, error = text, "a film waits");
         }
-        self.trouble = Some(text);
+        self.obstacle = Some(text);
         tokio::time::sleep(PAUSE).await;
     }
 
@@ -525,8 +530,8 @@ impl Collection<'_> {
         if !self.shared.broker.is_connected() {
             return Some(format!("the NATS server {}, which does not answer", self.shared.address));
         }
-        if let Some(trouble) = &self.trouble {
-            return Some(trouble.clone());
+        if let Some(why) = self.obstacle.as_ref().or(self.trouble.as_ref()) {
+            return Some(why.clone());
         }
         let now = Instant::now();
         let roster = self.shared.roster.lock();
