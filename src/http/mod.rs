@@ -48,6 +48,7 @@ mod names;
 mod naming;
 mod openapi;
 mod params;
+mod patch_queue;
 mod paths;
 mod pick;
 mod problem;
@@ -154,6 +155,7 @@ pub struct App {
     /// The jobs, or the reason why there are none.
     pub(crate) jobs: Result<Jobs, String>,
     pub(crate) surveys: Surveys,
+    pub(crate) patches: patch_queue::PatchQueue,
     /// The turn of the comparison whose figures are computed.
     pub(crate) comparing: Arc<tokio::sync::Semaphore>,
     /// Key of the hash that numbers callers, so that no caller can choose a number that is another's.
@@ -188,6 +190,7 @@ impl App {
         let limits = Arc::new(Limits::new());
         let app = Arc::new(App {
             surveys: Surveys::open(engine.clone(), folder),
+            patches: patch_queue::PatchQueue::default(),
             comparing: Arc::new(tokio::sync::Semaphore::new(1)),
             metrics: metrics::Metrics::new(
                 &engine,

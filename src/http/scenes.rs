@@ -12,11 +12,12 @@ use glam::{DAffine3, DMat3, DMat4, DQuat, DVec3, EulerRot};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use super::limits::Standing;
 use super::params::unknown_name;
 use super::problem::{Kind, Problem};
 use super::registry::SceneState;
-use super::{App, NoQuery, Owner, Segments, body, frame, upload};
-use crate::engine::NodePatch;
+use super::{App, Caller, NoQuery, Owner, Segments, body, frame, upload};
+use crate::engine::{EngineError, NodePatch};
 use crate::scene::{LARGEST_COORDINATE, LARGEST_SCALE};
 
 #[derive(Serialize, ToSchema)]
@@ -170,6 +171,7 @@ const MAX_CHANGE_BYTES: u64 = 64 << 10;
 )]
 pub async fn patch_node(
     State(app): State<Arc<App>>,
+    Extension(Caller(client, caps)): Extension<Caller>,
     Extension(owner): Extension<Owner>,
     Segments((id, node)): Segments<(String, String)>,
     _: NoQuery,
@@ -182,9 +184,23 @@ pub async fn patch_node(
     let value: serde_json::Value =
         body::json(&headers, body, MAX_CHANGE_BYTES, patience, &admission).await?;
     let patch = node_change(value)?.patch()?;
+    let turn = app.patches.turn(client).await?;
+    // Bodies and turns take their time. Meanwhile the key may have been removed, or the id may belong to the scene of another key.
+    if app.standing(client, &caps) == Standing::Gone {
+        return Err(Problem::new(Kind::Unauthorized, "the key was removed or has expired"));
+    }
+    let load = app.engine.load_number(&id);
+    owner.check_scene(&app, &id)?;
     let worker = app.clone();
     let scene = id.clone();
-    let info = tokio::task::spawn_blocking(move || worker.engine.patch(&scene, &node, &patch))
+    let patched = tokio::task::spawn_blocking(move || {
+        let unknown = || EngineError::UnknownScene { id: scene.clone() };
+        let patched = worker.engine.patch_load(&scene, load.ok_or_else(unknown)?, &node, &patch);
+        // The turn ends with the change, even if the client has gone.
+        drop(turn);
+        patched
+    });
+    let info = patched
         .await
         .map_err(Problem::internal)?
         .map_err(|error| frame::missing(&app, &id, error.into()))?;
