@@ -187,7 +187,7 @@ pub struct ServeArgs {
     /// Accept no jobs, even if --state is given
     #[arg(long, env = "POINTILLIST_NO_JOBS", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
     pub no_jobs: Option<bool>,
-    /// Maximum number of queued and running jobs; further jobs are refused with 429 [default: 64]
+    /// Maximum number of queued and running jobs; further jobs, and more than half of them of one API key, are refused with 429 [default: 64]
     #[arg(long, env = "POINTILLIST_JOB_QUEUE", value_name = "N")]
     pub job_queue: Option<usize>,
     /// Maximum number of jobs whose frames are drawn at the same time; they share the jobs' GPU time [default: 4]

@@ -145,6 +145,10 @@ pub struct SceneMark {
     pub revision: u64,
 }
 
+/// Number of a load. A scene keeps it while it is patched, and a scene that is loaded later under the same id has another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LoadNumber(pub(super) u64);
+
 /// Changes to one top-level node; `None` leaves a property as it is.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NodePatch {

@@ -45,6 +45,7 @@ mod library;
 mod load;
 mod loaded;
 mod observe;
+mod patches;
 pub mod pick;
 mod planner;
 mod point_tree_cache;
@@ -77,8 +78,8 @@ pub use config::{DEFAULT_JOB_SHARE, ESTIMATE_AT_ONCE, EngineConfig};
 pub use encoders::EncodeHook;
 pub use error::EngineError;
 pub use info::{
-    AssetInfo, EstimateState, Estimates, Limits, NamedCamera, NodePatch, SceneInfo, SceneMark,
-    Source,
+    AssetInfo, EstimateState, Estimates, Limits, LoadNumber, NamedCamera, NodePatch, SceneInfo,
+    SceneMark, Source,
 };
 pub use latest_slot::LatestSlot;
 pub use observe::Observer;
@@ -282,30 +283,6 @@ impl Engine {
         state.scenes_changed();
         tracing::info!(id, "scene deleted");
         Ok(())
-    }
-
-    /// Moves, shows or hides a top-level node. The scene gets a new revision; only transforms are uploaded.
-    pub fn patch(&self, id: &str, node: &str, patch: &NodePatch) -> Result<SceneInfo, EngineError> {
-        let state = self.state();
-        // Two patches must not start from the same revision. Listing the instances again may take a while, during which frames
-        // are still requested: the library is locked only for looking up and replacing.
-        let _alone = state.patching.lock();
-        loop {
-            let loaded = state.loaded(id)?;
-            let mut patched = loaded.patched(node, patch, &state.config)?;
-            // A node that becomes visible may draw more than fits.
-            self.check_fits(&mut patched)?;
-            if let Some(hook) = &state.config.patch_hook {
-                hook();
-            }
-            let info = self.info(&patched);
-            if state.library.write().replace(&loaded, patched) {
-                state.scenes_changed();
-                tracing::info!(id, node, revision = info.revision, "scene changed");
-                return Ok(info);
-            }
-            // The scene was removed meanwhile, and perhaps loaded again.
-        }
     }
 
     /// Takes on measured frames of a scene, from which settings are chosen for requests with a goal. They are kept beside the point trees.

@@ -48,6 +48,7 @@ mod names;
 mod naming;
 mod openapi;
 mod params;
+mod patch_queue;
 mod paths;
 mod pick;
 mod problem;
@@ -157,6 +158,7 @@ pub struct App {
     pub(crate) surveys: Surveys,
     /// Answers that clients have not read yet.
     unread: unread::Unread,
+    pub(crate) patches: patch_queue::PatchQueue,
     /// The turn of the comparison whose figures are computed.
     pub(crate) comparing: Arc<tokio::sync::Semaphore>,
     /// Key of the hash that numbers callers, so that no caller can choose a number that is another's.
@@ -192,6 +194,7 @@ impl App {
         let app = Arc::new(App {
             surveys: Surveys::open(engine.clone(), folder),
             unread: unread::Unread::new(engine.limits().host_memory_bytes),
+            patches: patch_queue::PatchQueue::default(),
             comparing: Arc::new(tokio::sync::Semaphore::new(1)),
             metrics: metrics::Metrics::new(
                 &engine,

@@ -1,4 +1,4 @@
-//! Scenes that are loading, or whose load failed while nobody waited.
+//! Scenes that are loading or being removed, or whose load failed while nobody waited.
 //!
 //! ```text
 //! reserve ──► loading ──► (engine knows it)          finish
@@ -6,9 +6,13 @@
 //!                └──────► failed, until DELETE,       fail
 //!                         until it is loaded again,
 //!                         or, without files, until the id is used again
+//! claim ────► being removed ──► (free)               finish
+//!                │
+//!                └──────► as before                   dropped
 //! ```
 //!
-//! A load can be cancelled: it ends at its next step, and its reservation ends with it.
+//! A load can be cancelled: it ends at its next step, and its reservation ends with it. An id that is being removed counts as loading:
+//! no upload gets the id before the files of the scene are gone.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -17,11 +21,11 @@ use std::time::Instant;
 use parking_lot::Mutex;
 
 use serde::Serialize;
-use tokio::sync::Notify;
+use tokio::sync::watch;
 use utoipa::ToSchema;
 
 use super::problem::{Kind, Problem, ProblemDocument};
-use crate::engine::{SceneInfo, Source};
+use crate::engine::{LoadNumber, SceneInfo, Source};
 use crate::memory::Admission;
 
 /// Largest number of remembered failures without files; the oldest is forgotten first.
@@ -32,13 +36,42 @@ pub enum Entry {
     Loading {
         since: Instant,
         admission: Admission,
+        load: Load,
     },
     Failed {
         at: Instant,
         problem: Problem,
         /// Files that can be loaded again; `None` where none were kept.
         source: Option<Source>,
+        load: Load,
     },
+}
+
+/// One load, or one removal, of an id.
+#[derive(Clone, Debug)]
+pub struct Load(watch::Receiver<Option<Ended>>);
+
+/// How a load or a removal left its id.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ended {
+    /// The engine has the scene.
+    Loaded(LoadNumber),
+    /// The failure is kept.
+    Failed,
+    /// There is no scene.
+    Gone,
+}
+
+impl Load {
+    /// Waits for the end of this load, and not for others of the same id.
+    pub async fn ended(mut self) -> Ended {
+        let ended = self.0.wait_for(Option::is_some).await;
+        ended.ok().and_then(|ended| *ended).unwrap_or(Ended::Gone)
+    }
+
+    fn is(&self, other: &Load) -> bool {
+        self.0.same_channel(&other.0)
+    }
 }
 
 /// A scene and its state.
@@ -73,8 +106,6 @@ impl SceneState {
 #[derive(Clone, Default)]
 pub struct Registry {
     entries: Arc<Mutex<HashMap<String, Entry>>>,
-    /// Notified whenever a reservation ends.
-    ended: Arc<Notify>,
 }
 
 /// A reserved id; freed when this is dropped, finished, or failed.
@@ -82,7 +113,12 @@ pub struct Reservation {
     registry: Registry,
     id: String,
     admission: Admission,
-    settled: bool,
+    load: Load,
+    ended: watch::Sender<Option<Ended>>,
+    /// What the id is left with when this is dropped.
+    outcome: Ended,
+    /// Entry of the id when this is dropped.
+    after: Option<Entry>,
 }
 
 impl Registry {
@@ -101,20 +137,57 @@ impl Registry {
                 .at("id")
                 .accepted("an unused id, or DELETE the scene first"));
         }
-        let loading = Entry::Loading { since: Instant::now(), admission: admission.clone() };
-        entries.insert(id.to_owned(), loading);
-        Ok(Reservation { registry: self.clone(), id: id.to_owned(), admission, settled: false })
+        Ok(self.hold(&mut entries, id, admission, Ended::Gone))
     }
 
     /// Reserves the id of a failed load that can be repeated.
     pub fn retry(&self, id: &str, admission: Admission) -> Option<(Reservation, Source)> {
         let mut entries = self.entries.lock();
-        let entry = entries.get_mut(id)?;
-        let Entry::Failed { source: Some(source), .. } = entry else { return None };
+        let Entry::Failed { source: Some(source), .. } = entries.get(id)? else { return None };
         let source = source.clone();
-        *entry = Entry::Loading { since: Instant::now(), admission: admission.clone() };
+        Some((self.hold(&mut entries, id, admission, Ended::Gone), source))
+    }
+
+    /// Reserves an id whose scene is to be removed. `loaded` returns the scene's number if the engine has it. Unless the reservation
+    /// is finished, everything stays as it was. Returns `None` while the id is loading or being removed.
+    pub fn claim(
+        &self,
+        id: &str,
+        loaded: impl FnOnce(&str) -> Option<LoadNumber>,
+    ) -> Option<Reservation> {
+        let mut entries = self.entries.lock();
+        let before = match entries.get(id) {
+            Some(Entry::Loading { .. }) => return None,
+            before => before.cloned(),
+        };
+        let outcome = match before {
+            Some(_) => Ended::Failed,
+            None => loaded(id).map_or(Ended::Gone, Ended::Loaded),
+        };
+        let mut claim = self.hold(&mut entries, id, Admission::default(), outcome);
+        claim.after = before;
+        Some(claim)
+    }
+
+    /// Claims the failure of this load, if it is still there.
+    pub fn claim_failure(&self, id: &str, load: &Load) -> Option<Reservation> {
+        let claim = self.claim(id, |_| None)?;
+        claim.is_failure_of(load).then_some(claim)
+    }
+
+    fn hold(
+        &self,
+        entries: &mut HashMap<String, Entry>,
+        id: &str,
+        admission: Admission,
+        outcome: Ended,
+    ) -> Reservation {
+        let (ended, receiver) = watch::channel(None);
+        let (load, since) = (Load(receiver), Instant::now());
+        let entry = Entry::Loading { since, admission: admission.clone(), load: load.clone() };
+        entries.insert(id.to_owned(), entry);
         let (registry, id) = (self.clone(), id.to_owned());
-        Some((Reservation { registry, id, admission, settled: false }, source))
+        Reservation { registry, id, admission, load, ended, outcome, after: None }
     }
 
     pub fn get(&self, id: &str) -> Option<Entry> {
@@ -129,34 +202,14 @@ impl Registry {
         list
     }
 
-    /// Cancels the load of `id`, which ends at its next step. Returns false where nothing is loading.
-    pub fn cancel(&self, id: &str) -> bool {
+    /// Cancels the load of `id`, which ends at its next step, and returns it. Returns `None` where nothing is loading.
+    pub fn cancel(&self, id: &str) -> Option<Load> {
         match self.entries.lock().get(id) {
-            Some(Entry::Loading { admission, .. }) => {
+            Some(Entry::Loading { admission, load, .. }) => {
                 admission.cancel();
-                true
+                Some(load.clone())
             }
-            _ => false,
-        }
-    }
-
-    /// Waits until `id` is no longer loading.
-    pub async fn ended(&self, id: &str) {
-        loop {
-            let ended = self.ended.notified();
-            if !matches!(self.get(id), Some(Entry::Loading { .. })) {
-                return;
-            }
-            ended.await;
-        }
-    }
-
-    /// Forgets a failure. Returns false when there is none.
-    pub fn forget(&self, id: &str) -> bool {
-        let mut entries = self.entries.lock();
-        match entries.get(id) {
-            Some(Entry::Failed { .. }) => entries.remove(id).is_some(),
-            _ => false,
+            _ => None,
         }
     }
 }
@@ -171,40 +224,69 @@ impl Reservation {
         &self.admission
     }
 
-    /// Ends the reservation of a scene that the engine now has.
-    pub fn finish(self) {}
+    /// Returns the load that this reservation is for.
+    pub fn load(&self) -> Load {
+        self.load.clone()
+    }
+
+    /// Returns what the claimed id has.
+    pub fn found(&self) -> Ended {
+        self.outcome
+    }
+
+    /// Returns whether the claimed id has the failure of this load.
+    pub fn is_failure_of(&self, other: &Load) -> bool {
+        matches!(&self.after, Some(Entry::Failed { load, .. }) if load.is(other))
+    }
+
+    /// Ends the reservation of a scene that the engine now has, or of one that is removed.
+    pub fn finish(mut self, ended: Ended) {
+        (self.outcome, self.after) = (ended, None);
+    }
 
     /// Keeps `problem` for later requests, and `source` for a retry.
     pub fn fail(mut self, problem: Problem, source: Option<Source>) {
-        self.settled = true;
-        let mut entries = self.registry.entries.lock();
-        entries.insert(self.id.clone(), Entry::Failed { at: Instant::now(), problem, source });
-        let failed = |entry: &Entry| match entry {
-            Entry::Failed { at, source: None, .. } => Some(*at),
-            // Failures with files stay listed as long as the files exist.
-            _ => None,
-        };
-        if entries.values().filter_map(failed).count() > MAX_FAILED {
-            let oldest =
-                entries.iter().filter_map(|(id, entry)| Some((failed(entry)?, id.clone()))).min();
-            if let Some((_, id)) = oldest {
-                entries.remove(&id);
-            }
-        }
+        self.outcome = Ended::Failed;
+        self.after =
+            Some(Entry::Failed { at: Instant::now(), problem, source, load: self.load.clone() });
     }
 }
 
 impl Drop for Reservation {
     fn drop(&mut self) {
-        if !self.settled {
-            self.registry.entries.lock().remove(&self.id);
+        let mut entries = self.registry.entries.lock();
+        match self.after.take() {
+            Some(entry) => {
+                entries.insert(self.id.clone(), entry);
+                forget_oldest(&mut entries);
+            }
+            None => drop(entries.remove(&self.id)),
         }
-        self.registry.ended.notify_waiters();
+        drop(entries);
+        self.ended.send_replace(Some(self.outcome));
+    }
+}
+
+/// Forgets the oldest failure without files, if there are too many.
+fn forget_oldest(entries: &mut HashMap<String, Entry>) {
+    let failed = |entry: &Entry| match entry {
+        Entry::Failed { at, source: None, .. } => Some(*at),
+        // Failures with files stay listed as long as the files exist.
+        _ => None,
+    };
+    if entries.values().filter_map(failed).count() > MAX_FAILED {
+        let oldest =
+            entries.iter().filter_map(|(id, entry)| Some((failed(entry)?, id.clone()))).min();
+        if let Some((_, id)) = oldest {
+            entries.remove(&id);
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use futures::FutureExt;
+
     use super::*;
 
     fn problem() -> Problem {
@@ -218,20 +300,20 @@ mod tests {
     #[test]
     fn a_load_that_is_cancelled_frees_its_id() {
         let registry = Registry::default();
-        assert!(!registry.cancel("a"));
+        assert!(registry.cancel("a").is_none());
         let loading = reserve(&registry, "a").unwrap();
-        assert!(registry.cancel("a") && loading.admission().is_cancelled());
-        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
-        let waiting = registry.clone();
-        runtime.block_on(async {
-            let ended = tokio::spawn(async move { waiting.ended("a").await });
-            tokio::task::yield_now().await;
-            assert!(!ended.is_finished());
-            drop(loading);
-            ended.await.unwrap();
-        });
+        let mut ended = registry.cancel("a").unwrap().ended().boxed();
+        assert!(loading.admission().is_cancelled());
+        assert!((&mut ended).now_or_never().is_none());
+        drop(loading);
         assert!(registry.get("a").is_none());
-        runtime.block_on(registry.ended("a"));
+        // Who waits for a load does not wait for the next one with the id.
+        let next = reserve(&registry, "a").unwrap();
+        assert_eq!(ended.now_or_never(), Some(Ended::Gone));
+        assert!(!next.admission().is_cancelled());
+        let load = next.load();
+        next.fail(problem(), None);
+        assert_eq!(load.ended().now_or_never(), Some(Ended::Failed));
     }
 
     #[test]
@@ -240,8 +322,8 @@ mod tests {
         let first = reserve(&registry, "a").unwrap();
         assert_eq!(reserve(&registry, "a").err().unwrap().status(), 409);
         assert!(matches!(registry.get("a"), Some(Entry::Loading { .. })));
-        assert!(!registry.forget("a"));
-        first.finish();
+        assert!(registry.claim("a", |_| None).is_none());
+        first.finish(Ended::Gone);
         assert!(registry.get("a").is_none());
         assert_eq!(
             registry.reserve("a", Admission::default(), |_| true).err().unwrap().status(),
@@ -256,8 +338,28 @@ mod tests {
         assert!(matches!(registry.get("a"), Some(Entry::Failed { .. })));
         drop(reserve(&registry, "a").unwrap());
         assert!(registry.get("a").is_none());
+    }
+
+    #[test]
+    fn nobody_gets_an_id_before_its_scene_is_removed() {
+        let registry = Registry::default();
+        let first = reserve(&registry, "a").unwrap();
+        let load = first.load();
+        first.fail(problem(), None);
+        let claim = registry.claim_failure("a", &load).unwrap();
+        assert_eq!(reserve(&registry, "a").err().unwrap().status(), 409);
+        assert!(registry.claim("a", |_| None).is_none());
+        // A removal that fails leaves everything as it was.
+        let removal = registry.cancel("a").unwrap();
+        drop(claim);
+        assert_eq!(removal.ended().now_or_never(), Some(Ended::Failed));
+        let claim = registry.claim("a", |_| None).unwrap();
+        assert_eq!(claim.found(), Ended::Failed);
+        claim.finish(Ended::Gone);
+        // The failure of another load with the id is not this one's.
         reserve(&registry, "a").unwrap().fail(problem(), None);
-        assert!(registry.forget("a") && !registry.forget("a"));
+        assert!(registry.claim_failure("a", &load).is_none());
+        assert!(matches!(registry.get("a"), Some(Entry::Failed { .. })));
     }
 
     #[test]

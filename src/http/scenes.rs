@@ -12,11 +12,12 @@ use glam::{DAffine3, DMat3, DMat4, DQuat, DVec3, EulerRot};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use super::limits::Standing;
 use super::params::unknown_name;
-use super::problem::{Kind, Problem};
-use super::registry::SceneState;
-use super::{App, NoQuery, Owner, Segments, body, frame, upload};
-use crate::engine::NodePatch;
+use super::problem::{Kind, Problem, storage};
+use super::registry::{Ended, Reservation, SceneState};
+use super::{App, Caller, NoQuery, Owner, Segments, body, frame, upload};
+use crate::engine::{EngineError, NodePatch};
 use crate::scene::{LARGEST_COORDINATE, LARGEST_SCALE};
 
 #[derive(Serialize, ToSchema)]
@@ -36,7 +37,9 @@ pub async fn list(State(app): State<Arc<App>>, _: NoQuery) -> Json<SceneList> {
     let entries = app.registry.list();
     let mut scenes: Vec<SceneState> =
         app.engine.scenes().into_iter().map(|info| SceneState::Ready(Box::new(info))).collect();
-    scenes.extend(entries.into_iter().map(|(id, entry)| SceneState::of(id, entry)));
+    // A scene that is being removed, or has just been loaded, is in both.
+    let others = entries.into_iter().filter(|(id, _)| app.engine.load_number(id).is_none());
+    scenes.extend(others.map(|(id, entry)| SceneState::of(id, entry)));
     Json(SceneList { scenes })
 }
 
@@ -87,39 +90,59 @@ pub async fn remove(
 ) -> Result<StatusCode, Problem> {
     owner.check_scene(&app, &id)?;
     upload::follow::refuse_removal(&app, &id)?;
-    let was_loading = app.registry.cancel(&id);
-    if was_loading {
+    let mut cancelled = None;
+    if let Some(load) = app.registry.cancel(&id) {
         // The load's next step may take some seconds.
-        let ended = tokio::time::timeout(LONGEST_STEP, app.registry.ended(&id)).await;
-        ended.map_err(|_| {
+        let ended = tokio::time::timeout(LONGEST_STEP, load.clone().ended()).await;
+        let ended = ended.map_err(|_| {
             let detail = format!("the load of scene `{id}` was cancelled and has not ended yet");
             Problem::new(Kind::SceneLoading, detail).retry_after(Duration::from_secs(5))
         })?;
-    }
-    if app.registry.forget(&id) {
-        upload::forget_files(&app, &id).await;
-        return Ok(StatusCode::NO_CONTENT);
-    }
-    if was_loading && app.engine.scene(&id).is_err() {
-        return Ok(StatusCode::NO_CONTENT);
-    }
-    app.uploads.forget(&id);
-    app.surveys.forget(&id);
-    let worker = app.clone();
-    let name = id.clone();
-    tokio::task::spawn_blocking(move || {
-        worker.engine.scene(&name)?;
-        // The id stays taken until the files are gone, so that the files of the next upload are not removed. Without uploads the
-        // folder of uploads may belong to another daemon.
-        if worker.settings.uploads.are_kept() {
-            upload::store::remove_files(&worker.settings.root, &name);
+        if ended == Ended::Gone {
+            return Ok(StatusCode::NO_CONTENT);
         }
-        worker.engine.remove(&name)?;
-        Ok(StatusCode::NO_CONTENT)
-    })
-    .await
-    .map_err(Problem::internal)?
-    .map_err(|error: crate::engine::EngineError| frame::missing(&app, &id, error.into()))
+        cancelled = Some((load, ended));
+    }
+    let Some(claim) = app.registry.claim(&id, |id| app.engine.load_number(id)) else {
+        let detail = format!("scene `{id}` is being loaded or removed");
+        return Err(Problem::new(Kind::SceneLoading, detail).retry_after(Duration::from_secs(1)));
+    };
+    let found = claim.found();
+    let is_meant = match &cancelled {
+        None => true,
+        Some((load, Ended::Failed)) => claim.is_failure_of(load),
+        Some((_, ended)) => found == *ended,
+    };
+    if !is_meant {
+        // The load to be removed has left the id to another one.
+        return Ok(StatusCode::NO_CONTENT);
+    }
+    if found == Ended::Gone {
+        drop(claim);
+        let unknown = EngineError::UnknownScene { id: id.clone() };
+        return Err(frame::missing(&app, &id, unknown.into()));
+    }
+    // While the load ended, the id may have got another owner.
+    owner.check_scene(&app, &id)?;
+    tokio::task::spawn_blocking(move || remove_claimed(&app, claim))
+        .await
+        .map_err(Problem::internal)?
+}
+
+/// Removes the scene of a claimed id: its files first, since a failure must leave everything as it was.
+fn remove_claimed(app: &App, claim: Reservation) -> Result<StatusCode, Problem> {
+    let id = claim.id();
+    // Without uploads the folder of uploads may belong to another daemon.
+    if app.settings.uploads.are_kept() {
+        upload::store::remove_files(&app.settings.root, id).map_err(|error| storage(&error))?;
+    }
+    if let Ended::Loaded(_) = claim.found() {
+        app.engine.remove(id)?;
+    }
+    app.uploads.forget(id);
+    app.surveys.forget(id);
+    claim.finish(Ended::Gone);
+    Ok(StatusCode::NO_CONTENT)
 }
 
 /// Longest wait for a cancelled load to end.
@@ -170,6 +193,7 @@ const MAX_CHANGE_BYTES: u64 = 64 << 10;
 )]
 pub async fn patch_node(
     State(app): State<Arc<App>>,
+    Extension(Caller(client, caps)): Extension<Caller>,
     Extension(owner): Extension<Owner>,
     Segments((id, node)): Segments<(String, String)>,
     _: NoQuery,
@@ -182,9 +206,23 @@ pub async fn patch_node(
     let value: serde_json::Value =
         body::json(&headers, body, MAX_CHANGE_BYTES, patience, &admission).await?;
     let patch = node_change(value)?.patch()?;
+    let turn = app.patches.turn(client).await?;
+    // Bodies and turns take their time. Meanwhile the key may have been removed, or the id may belong to the scene of another key.
+    if app.standing(client, &caps) == Standing::Gone {
+        return Err(Problem::new(Kind::Unauthorized, "the key was removed or has expired"));
+    }
+    let load = app.engine.load_number(&id);
+    owner.check_scene(&app, &id)?;
     let worker = app.clone();
     let scene = id.clone();
-    let info = tokio::task::spawn_blocking(move || worker.engine.patch(&scene, &node, &patch))
+    let patched = tokio::task::spawn_blocking(move || {
+        let unknown = || EngineError::UnknownScene { id: scene.clone() };
+        let patched = worker.engine.patch_load(&scene, load.ok_or_else(unknown)?, &node, &patch);
+        // The turn ends with the change, even if the client has gone.
+        drop(turn);
+        patched
+    });
+    let info = patched
         .await
         .map_err(Problem::internal)?
         .map_err(|error| frame::missing(&app, &id, error.into()))?;

@@ -352,12 +352,20 @@ impl Signals {
                     if self.has_terminal {
                         return "SIGHUP";
                     }
-                    // A disk that hangs must not hold up the signals that stop the server.
+                    // Neither a disk that hangs nor requests that keep all other threads busy may hold up a signal.
                     let app = app.clone();
-                    tokio::task::spawn_blocking(move || app.reload());
+                    apart("reload", move || app.reload());
                 }
             }
         }
+    }
+}
+
+/// Does `work` on a thread of its own.
+#[cfg(unix)]
+fn apart(name: &str, work: impl FnOnce() + Send + 'static) {
+    if let Err(error) = std::thread::Builder::new().name(name.to_owned()).spawn(work) {
+        tracing::error!(%error, "no thread can be started for a {name}");
     }
 }
 
@@ -403,6 +411,22 @@ async fn watchdog(app: Arc<App>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[cfg(unix)]
+    #[test]
+    fn a_reload_needs_no_thread_of_the_runtime() {
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .max_blocking_threads(1)
+            .build()
+            .unwrap();
+        let (end, ended) = std::sync::mpsc::sync_channel::<()>(0);
+        runtime.spawn_blocking(move || ended.recv());
+        let (done, is_done) = std::sync::mpsc::sync_channel(1);
+        runtime.spawn(async move { apart("reload", move || done.send(()).unwrap()) });
+        assert!(is_done.recv_timeout(Duration::from_secs(60)).is_ok());
+        drop(end);
+    }
 
     #[test]
     fn the_watchdog_is_patted_while_there_is_hope() {

@@ -227,9 +227,11 @@ pub struct UploadLimits {
 /// Limits and current use of jobs.
 #[derive(Serialize, ToSchema)]
 pub struct JobLimits {
-    /// Maximum number of queued and running jobs.
+    /// Maximum number of queued and running jobs. A job that waits for its scene does not count.
     max_unfinished: usize,
-    /// Maximum number of stored jobs, ended ones included.
+    /// Maximum number of queued and running jobs of one API key, including those that wait for their scene.
+    max_unfinished_per_key: usize,
+    /// Maximum number of stored jobs, ended ones included. Beyond it, the oldest ended job of the key that has most of them is deleted.
     max_kept: usize,
     /// Maximum number of frames of one path.
     max_frames: u64,
@@ -290,6 +292,7 @@ pub async fn limits(
             let config = jobs.config();
             JobLimits {
                 max_unfinished: config.limits.most_unfinished,
+                max_unfinished_per_key: config.limits.most_unfinished_per_owner(),
                 max_kept: config.limits.most,
                 max_frames: crate::film::shots::MOST_FRAMES,
                 max_bytes: config.most_bytes,

@@ -30,13 +30,21 @@ use super::spec::Spec;
 /// Limits of a book.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
-    /// Largest number of jobs that are not done, failed or cancelled.
+    /// Largest number of running jobs, and of queued ones that do not wait for their scene.
     pub most_unfinished: usize,
     /// Largest number of jobs.
     pub most: usize,
     /// Time for which an ended job is kept, and for which a queued job waits for its scene.
     pub ttl_ms: u64,
     pub slots: Slots,
+}
+
+impl Limits {
+    /// Returns the largest number of one owner's jobs that are not done, failed or cancelled: half of the queue, so that no owner keeps
+    /// the others out of it.
+    pub fn most_unfinished_per_owner(&self) -> usize {
+        self.most_unfinished.div_ceil(2)
+    }
 }
 
 /// One phase of a job.
@@ -108,6 +116,10 @@ pub enum Refusal {
         id: JobId,
     },
     TooManyUnfinished {
+        limit: usize,
+    },
+    /// As many jobs of the same owner have not ended.
+    TooManyOfOwner {
         limit: usize,
     },
     TooMany {
@@ -236,8 +248,22 @@ impl Book {
         self.jobs.values().find(|job| job.repeat.as_ref().is_some_and(same))
     }
 
-    fn unfinished(&self) -> usize {
-        self.jobs.values().filter(|job| !job.has_ended()).count()
+    /// Removes an ended job if its place is needed for a new one: the oldest job of the owner that has most of them. The caller holds
+    /// the removed job.
+    pub fn make_room(&mut self, owner: Option<&str>, repeat: Option<&Repeat>) -> Option<Record> {
+        let is_known = repeat.is_some_and(|asked| self.repeated(asked).is_some());
+        if is_known || self.jobs.len() < self.limits.most || self.check_room(owner).is_err() {
+            return None;
+        }
+        let ended = || self.jobs.values().filter(|job| job.has_ended() && !self.is_held(job.id));
+        let mut numbers: BTreeMap<&Option<String>, usize> = BTreeMap::new();
+        for job in ended() {
+            *numbers.entry(&job.owner).or_default() += 1;
+        }
+        let (richest, _) = numbers.into_iter().max_by_key(|(_, number)| *number)?;
+        let theirs = ended().filter(|job| job.owner == *richest);
+        let oldest = theirs.min_by_key(|job| (job.since_ms, job.id))?.id;
+        self.remove(oldest).ok()
     }
 
     /// Creates a job, or finds the one that the same request has created before.
@@ -259,7 +285,7 @@ impl Book {
                 Err(Refusal::KeyReused { id: job.id })
             };
         }
-        self.check_room()?;
+        self.check_room(origin.owner.as_deref())?;
         if self.jobs.len() >= self.limits.most {
             return Err(Refusal::TooMany { limit: self.limits.most });
         }
@@ -293,9 +319,19 @@ impl Book {
         }
     }
 
-    fn check_room(&self) -> Result<(), Refusal> {
+    /// Checks the places for jobs that have not ended. A job that waits for its scene takes a place of its owner only, since it keeps
+    /// nobody waiting.
+    fn check_room(&self, owner: Option<&str>) -> Result<(), Refusal> {
+        let unfinished = || self.jobs.values().filter(|job| !job.has_ended());
+        let own = unfinished().filter(|job| job.owner.as_deref() == owner).count();
+        let limit = self.limits.most_unfinished_per_owner();
+        if owner.is_some() && own >= limit {
+            return Err(Refusal::TooManyOfOwner { limit });
+        }
+        let waits = |job: &&Record| matches!(job.state, State::Queued { waits_for: Some(_) });
         let limit = self.limits.most_unfinished;
-        if self.unfinished() >= limit { Err(Refusal::TooManyUnfinished { limit }) } else { Ok(()) }
+        let busy = unfinished().filter(|job| !waits(job)).count();
+        if busy >= limit { Err(Refusal::TooManyUnfinished { limit }) } else { Ok(()) }
     }
 
     fn take_turn(&mut self) -> u64 {
@@ -422,7 +458,7 @@ impl Book {
 
     /// Queues an ended job again, behind all others. The run makes what is missing, even if the job was done.
     pub fn resume(&mut self, id: JobId, now_ms: u64) -> Result<(), Refusal> {
-        let state = &self.get(id)?.state;
+        let Record { state, owner, .. } = self.get(id)?;
         match state {
             State::Failed(_) | State::Cancelled | State::Done => {}
             State::Queued { .. } => return Ok(()),
@@ -433,7 +469,7 @@ impl Book {
                 });
             }
         }
-        self.check_room()?;
+        self.check_room(owner.as_deref())?;
         let turn = self.take_turn();
         let job = self.jobs.get_mut(&id).ok_or(Refusal::Unknown)?;
         (job.state, job.since_ms, job.turn) = (State::Queued { waits_for: None }, now_ms, turn);

@@ -287,6 +287,14 @@ impl Jobs {
         let shared = &self.shared;
         // Serialise creation, so that a concurrent repeat of the request is not told of a job that may fail.
         let _alone = shared.creating.lock();
+        if shared.check_quota().is_ok() {
+            let owner = origin.owner.as_deref();
+            let forgotten = shared.book.lock().make_room(owner, repeat.as_ref());
+            if let Some(record) = forgotten {
+                tracing::info!(job = record.id, owner = record.owner, "deleted a job to make room");
+                shared.discard(record)?;
+            }
+        }
         let (id, record) = {
             let mut book = shared.book.lock();
             let id = match book.admit(spec, origin, repeat, shared.now_ms())? {

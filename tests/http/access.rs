@@ -19,26 +19,26 @@ use super::stream::{Came, Stream};
 const FRAME: &str = "/v1/scenes/grid/frame?w=64&h=64";
 
 /// A table of a key file, for the key that is spelt as its id.
-fn table(id: &str, scope: &str, more: &str) -> String {
+pub fn table(id: &str, scope: &str, more: &str) -> String {
     let hex: String =
         Sha256::digest(id.as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect();
     format!("[[key]]\nid = \"{id}\"\nscope = \"{scope}\"\nhash = \"{hex}\"\n{more}\n")
 }
 
 /// Writes a key file into a folder.
-fn key_file(folder: &Path, tables: &[String]) -> PathBuf {
+pub fn key_file(folder: &Path, tables: &[String]) -> PathBuf {
     let path = folder.join("keys.toml");
     std::fs::write(&path, tables.concat()).unwrap();
     path
 }
 
-fn send(client: &Client, key: &str, method: &str, path: &str, body: Option<&[u8]>) -> Reply {
+pub fn send(client: &Client, key: &str, method: &str, path: &str, body: Option<&[u8]>) -> Reply {
     let bearer = format!("Bearer {key}");
     let headers = [("authorization", bearer.as_str()), ("content-type", "application/json")];
     client.send(method, path, &headers, body)
 }
 
-fn hang_up(id: u32) {
+pub fn hang_up(id: u32) {
     assert!(Command::new("kill").args(["-HUP", &id.to_string()]).status().unwrap().success());
 }
 

@@ -115,6 +115,31 @@ fn delete_cancels_a_load() {
 }
 
 #[test]
+fn a_scene_whose_files_cannot_be_removed_stays() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client();
+    let ply = grid_ply();
+    let upload = || client.send("POST", "/v1/scenes?id=kept&name=a.ply", &[], Some(ply.as_bytes()));
+    assert_eq!(upload().status, 201);
+    // The folder is renamed before it is removed, and these names are taken by folders with files.
+    let taken =
+        |number: u32| daemon.root().join(format!("uploads/.partial-{}-{number}/a", daemon.id()));
+    (0..9).for_each(|number| std::fs::create_dir_all(taken(number)).unwrap());
+    let refused = client.send("DELETE", "/v1/scenes/kept", &[], None);
+    assert_eq!(refused.status, 507, "{}", refused.text());
+    assert_eq!(refused.problem()["type"], "urn:pointillist:problem:storage");
+    assert_eq!(client.get("/v1/scenes/kept/frame?w=16&h=16").status, 200);
+    assert_eq!(upload().status, 409);
+    assert_eq!(client.get("/v1/limits").json()["uploads"]["scenes"], json!(1));
+    let daemon = daemon.kill_and_restart(&[]);
+    let client = daemon.client();
+    assert_eq!(client.get("/v1/scenes/kept").json()["state"], "ready");
+    assert_eq!(client.send("DELETE", "/v1/scenes/kept", &[], None).status, 204);
+    assert!(daemon.uploads().is_empty(), "{:?}", daemon.uploads());
+    assert_eq!(client.get("/v1/limits").json()["uploads"]["scenes"], json!(0));
+}
+
+#[test]
 fn an_upload_whose_loader_died_is_set_aside() {
     // The file is large enough that the load is still running when the daemon is killed, at any speed of the machine.
     let killed = [400, 800, 1600, 3200].into_iter().find_map(|side| {

@@ -26,6 +26,7 @@ mod load;
 mod mjpeg;
 mod monitoring;
 mod naming;
+mod patches;
 mod picks;
 mod provisional;
 mod resolving;

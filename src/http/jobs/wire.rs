@@ -296,6 +296,12 @@ pub fn job_problem(jobs: &Jobs, id: &str, error: JobError) -> Problem {
             )
             .accepted("wait until a job ends, or cancel one")
             .retry_after(jobs.retry_after()),
+            Refusal::TooManyOfOwner { limit } => Problem::new(
+                Kind::TooManyJobs,
+                format!("this key has {limit} queued and running jobs, the most of one key"),
+            )
+            .accepted("wait until a job of this key ends, or cancel one")
+            .retry_after(jobs.retry_after()),
             Refusal::TooMany { limit } => Problem::new(
                 Kind::TooManyJobs,
                 format!("the limit of {limit} stored jobs is reached"),

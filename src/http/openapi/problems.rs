@@ -75,7 +75,9 @@ pub fn of_operation(path: &str, method: &str) -> Vec<Kind> {
             &[UnknownScene, SceneExists, SceneLoading, OverLimit, LoadCancelled, OutOfDisk],
             LOADED,
         ],
-        ("/v1/scenes/{id}", "delete") => &[&[UnknownScene, SceneLoading, NotReady, UploadsOff]],
+        ("/v1/scenes/{id}", "delete") => {
+            &[&[UnknownScene, SceneLoading, NotReady, UploadsOff, OutOfDisk]]
+        }
         ("/v1/scenes/{id}", _) => &[&[UnknownScene]],
         ("/v1/scenes/{id}/nodes/{node}", _) => &[
             &[UnknownScene, UnknownNode, SceneLoading, NotReady, BadParameter, UnknownParameter],

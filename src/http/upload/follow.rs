@@ -18,11 +18,12 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
+use super::loading::{Loading, Origin, load};
 use super::store::{Earlier, FOLDER, Record, folder_of, holds};
-use super::{Loading, Origin, load};
 use crate::engine::Source;
 use crate::http::names::valid_id;
 use crate::http::problem::{Kind, Problem};
+use crate::http::registry::Ended;
 use crate::http::{App, Phase};
 
 /// Time between two looks at the folder.
@@ -133,8 +134,19 @@ impl Followed {
             stays
         });
         for id in present {
-            // A folder may go while it is read; the next look finds out.
-            let Ok(Some((record, edition))) = read(root, &id) else { continue };
+            let found = match read(root, &id) {
+                Ok(found) => found,
+                Err(error) if is_gone(&error) => None,
+                // A disk that fails for a moment takes no scene away.
+                Err(_) => continue,
+            };
+            let Some((record, edition)) = found else {
+                // The upload was deleted, and another one may be in its place that its keeper has not loaded.
+                if self.known.remove(&id).is_some() {
+                    removals.push(Change::Remove(id));
+                }
+                continue;
+            };
             match self.known.get(&id) {
                 Some(known) if *known == edition => continue,
                 Some(_) => removals.push(Change::Remove(id.clone())),
@@ -174,6 +186,12 @@ fn read(root: &Path, id: &str) -> io::Result<Option<(Record, Edition)>> {
     let modified = fs::metadata(folder.join(&record.main))?.modified()?;
     let edition = Edition { main: record.main.clone(), bytes: record.bytes, modified };
     Ok(Some((record, edition)))
+}
+
+/// Returns whether an upload's record or main file is not there any more, or is no record.
+fn is_gone(error: &io::Error) -> bool {
+    use io::ErrorKind::*;
+    matches!(error.kind(), NotFound | NotADirectory | InvalidData | UnexpectedEof)
 }
 
 /// Returns whether an unknown scene is an upload that this daemon follows and is about to load.
@@ -256,15 +274,18 @@ async fn remove(app: &Arc<App>, id: String) {
     if app.uploads.owner(&id).is_none() {
         return;
     }
-    if app.registry.cancel(&id) {
-        let _ = tokio::time::timeout(LONGEST_STEP, app.registry.ended(&id)).await;
+    if let Some(load) = app.registry.cancel(&id) {
+        let _ = tokio::time::timeout(LONGEST_STEP, load.ended()).await;
     }
-    app.registry.forget(&id);
+    let claim = app.registry.claim(&id, |id| app.engine.load_number(id));
     app.uploads.forget(&id);
     app.surveys.forget(&id);
     let engine = app.engine.clone();
     // A scene whose load failed or was cancelled is not in the engine.
     let _ = tokio::task::spawn_blocking(move || engine.remove(&id)).await;
+    if let Some(claim) = claim {
+        claim.finish(Ended::Gone);
+    }
 }
 
 #[cfg(test)]
@@ -317,6 +338,20 @@ mod tests {
         let (found, _) = Followed::begin(root);
         let ids: Vec<_> = found.iter().map(|upload| upload.id.as_str()).collect();
         assert_eq!(ids, ["two"]);
+        // An upload that the keeper has not loaded replaces one that it has deleted.
+        fs::remove_dir_all(folder_of(root, "two")).unwrap();
+        upload(root, "two", "333");
+        assert_eq!(told(&mut followed, root), ["-two"]);
+        assert!(told(&mut followed, root).is_empty());
+        finish(root, "two").unwrap();
+        assert_eq!(told(&mut followed, root), ["+two"]);
+        // A record that is none counts as a deletion.
+        let record = folder_of(root, "two").join(".upload.json");
+        let text = fs::read(&record).unwrap();
+        fs::write(&record, "{").unwrap();
+        assert_eq!(told(&mut followed, root), ["-two"]);
+        fs::write(&record, text).unwrap();
+        assert_eq!(told(&mut followed, root), ["+two"]);
         // A volume that is not mounted for a moment takes no scene away.
         fs::rename(root.join(FOLDER), root.join("away")).unwrap();
         assert!(told(&mut followed, root).is_empty());

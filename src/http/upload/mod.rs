@@ -12,25 +12,27 @@
 
 pub mod follow;
 mod form;
+mod loading;
 pub mod quota;
 pub mod store;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
 
+use axum::Extension;
 use axum::body::Body;
 use axum::extract::{FromRequest, Multipart, Request, State};
-use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
-use axum::response::{IntoResponse, Response};
-use axum::{Extension, Json};
+use axum::http::{HeaderMap, Uri};
+use axum::response::Response;
 use bytes::Bytes;
 use futures::Stream;
 use glam::DVec3;
 use tokio::io::AsyncWriteExt;
 
 use self::form::{Limited, Progress};
+pub use self::loading::{Origin, load, stand_down};
+
+use self::loading::answer;
 use self::quota::Share;
 use self::store::{FOLDER, Record};
 use super::names::{disposition_name, is_json_name, main_file, slug, valid_file_name, valid_id};
@@ -38,14 +40,11 @@ use super::params::{number, once, pairs, unknown_name};
 use super::problem::{Kind, Problem, storage};
 use super::registry::SceneState;
 use super::registry::{Entry, Reservation};
-use super::{App, NoQuery, Owner, Phase, Segments, body, conditional};
-use crate::engine::{Engine, EngineError, SceneInfo, Source};
-use crate::memory::{Admission, Interrupt};
+use super::{App, NoQuery, Owner, Phase, Segments, body};
+use crate::engine::{EngineError, Source};
+use crate::memory::Admission;
 use crate::scene::{Up, UpForm};
 
-/// Default and longest wait for a scene to load.
-const DEFAULT_WAIT: Duration = Duration::from_secs(10);
-const MAX_WAIT: Duration = Duration::from_secs(300);
 /// Largest number of files in one form.
 pub const MAX_FILES: usize = 256;
 const SCENE_FILE: &str = "scene.json";
@@ -112,8 +111,7 @@ pub async fn create(
     let id = reservation.id().to_owned();
     let source = received.settle(&app.settings.root, &id, target.up, &budget.share)?;
     app.uploads.keep(&id, budget.share);
-    let loading = tokio::spawn(load(app.clone(), reservation, source, Origin::Fresh));
-    answer(&app, &headers, &id, loading, Origin::Fresh).await
+    answer(&app, &headers, reservation, source, Origin::Fresh).await
 }
 
 fn refuse_while_draining(app: &App) -> Result<(), Problem> {
@@ -166,8 +164,7 @@ pub async fn retry(
     let Some((reservation, source)) = app.registry.retry(&id, app.engine.admission()) else {
         return Err(Problem::new(Kind::SceneLoading, format!("scene `{id}` is being loaded")));
     };
-    let loading = tokio::spawn(load(app.clone(), reservation, source, Origin::Kept));
-    answer(&app, &headers, &id, loading, Origin::Kept).await
+    answer(&app, &headers, reservation, source, Origin::Kept).await
 }
 
 /// Parameters of the query.
@@ -263,8 +260,7 @@ struct PartialFolder(Option<PathBuf>);
 
 impl PartialFolder {
     async fn create(root: &Path) -> Result<Self, Problem> {
-        static NUMBER: AtomicU64 = AtomicU64::new(0);
-        let path = store::partial(root, NUMBER.fetch_add(1, Ordering::Relaxed));
+        let path = store::partial(root);
         tokio::fs::create_dir_all(&path).await.map_err(|error| storage(&error))?;
         Ok(Self(Some(path)))
     }
@@ -294,7 +290,7 @@ impl Received {
         let folder = store::folder_of(root, id);
         if folder.exists() {
             // The id is reserved and not loaded, so these files are left over from an earlier upload.
-            store::remove_folder(&folder);
+            store::remove_files(root, id).map_err(|error| storage(&error))?;
         }
         let key = share.key().map(str::to_owned);
         let record = Record {
@@ -467,141 +463,10 @@ async fn receive_form(
     Ok(Received { folder, main, from_root: false })
 }
 
-type Loading = tokio::task::JoinHandle<Result<SceneInfo, Problem>>;
-
-/// Origin of a load's files, which decides whether they are removed when it fails.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Origin {
-    /// A new upload: its files are removed when the load fails for good.
-    Fresh,
-    /// Files of the root, or an earlier upload: they stay.
-    Kept,
-}
-
-/// Loads a scene under a reserved id even if nobody waits; the id keeps a failure.
-pub async fn load(
-    app: Arc<App>,
-    reservation: Reservation,
-    source: Source,
-    origin: Origin,
-) -> Result<SceneInfo, Problem> {
-    let engine: Engine = app.engine.clone();
-    let (id, root) = (reservation.id().to_owned(), app.settings.root.clone());
-    let (file, admission) = (source.clone(), reservation.admission().clone());
-    // Without uploads, the folder of uploads may belong to another daemon.
-    let records = app.settings.uploads.are_kept();
-    let outcome = tokio::task::spawn_blocking(move || {
-        if records {
-            store::begin(&root, &id).map_err(|error| storage(&error))?;
-        }
-        let result = engine.load_within(&id, &file, &admission);
-        let noted = if result.is_ok() { store::finish } else { store::set_aside };
-        if records && let Err(error) = noted(&root, &id) {
-            tracing::warn!(id, %error, "cannot write an upload's record");
-        }
-        match result {
-            Err(EngineError::Interrupted(Interrupt::Cancelled)) => Ok(None),
-            result => result.map(Some).map_err(Problem::from),
-        }
-    })
-    .await;
-    let result = match outcome {
-        Ok(result) => result,
-        Err(panic) => Err(Problem::internal(format!("loading a scene: {panic}"))),
-    };
-    let id = reservation.id().to_owned();
-    match result {
-        Ok(Some(info)) => {
-            reservation.finish();
-            Ok(info)
-        }
-        Ok(None) => {
-            // Forget the files before the id is free: afterwards the folder may belong to another upload.
-            forget_files(&app, &id).await;
-            tracing::info!(id, "load cancelled");
-            Err(EngineError::Interrupted(Interrupt::Cancelled).into())
-        }
-        Err(problem) => {
-            let mut problem = problem.hide_root(&app.settings.root);
-            problem.detail = problem.detail.replace(&format!("{FOLDER}/{id}/"), "");
-            // There may be enough memory later.
-            let stays = origin == Origin::Kept || problem.kind == Kind::OutOfMemory;
-            if !stays {
-                forget_files(&app, &id).await;
-            }
-            reservation.fail(problem.clone(), stays.then_some(source));
-            Err(problem)
-        }
-    }
-}
-
-/// Removes the files of upload `id` and their share of the limits.
-pub async fn forget_files(app: &Arc<App>, id: &str) {
-    if !app.settings.uploads.are_kept() {
-        return;
-    }
-    let (root, name) = (app.settings.root.clone(), id.to_owned());
-    if let Err(error) = tokio::task::spawn_blocking(move || store::remove_files(&root, &name)).await
-    {
-        tracing::warn!(id, %error, "an upload's files are not removed");
-    }
-    app.uploads.forget(id);
-}
-
-/// Records for all running loads that the process ends by itself, so that they do not count as having killed it.
-pub fn stand_down(app: &App) {
-    if !app.settings.uploads.are_kept() {
-        return;
-    }
-    for (id, entry) in app.registry.list() {
-        // The record of a failed upload keeps its count of deaths.
-        if matches!(entry, Entry::Loading { .. })
-            && let Err(error) = store::set_aside(&app.settings.root, &id)
-        {
-            tracing::warn!(id, %error, "cannot write an upload's record");
-        }
-    }
-}
-
-async fn answer(
-    app: &Arc<App>,
-    headers: &HeaderMap,
-    id: &str,
-    loading: Loading,
-    origin: Origin,
-) -> Result<Response, Problem> {
-    let asked = conditional::prefer_wait(headers).map(Duration::from_secs);
-    let wait = asked.unwrap_or(DEFAULT_WAIT).min(MAX_WAIT);
-    let started = std::time::Instant::now();
-    let (status, state) = match tokio::time::timeout(wait, loading).await {
-        Ok(finished) => match finished.map_err(Problem::internal)? {
-            Ok(info) => (StatusCode::CREATED, SceneState::Ready(Box::new(info))),
-            Err(problem) => {
-                // The failure is reported here, so no entry needs to keep it.
-                if origin == Origin::Fresh && app.registry.forget(id) {
-                    forget_files(app, id).await;
-                }
-                return Err(problem);
-            }
-        },
-        Err(_) => {
-            let loading_ms = u64::try_from(started.elapsed().as_millis()).unwrap_or(u64::MAX);
-            (StatusCode::ACCEPTED, SceneState::Loading { id: id.to_owned(), loading_ms })
-        }
-    };
-    let mut response = (status, Json(state)).into_response();
-    let location = HeaderValue::from_str(&format!("/v1/scenes/{id}")).map_err(Problem::internal)?;
-    response.headers_mut().insert(header::LOCATION, location);
-    if asked.is_some() {
-        let applied = HeaderValue::from_str(&format!("wait={}", wait.as_secs()));
-        let applied = applied.map_err(Problem::internal)?;
-        response.headers_mut().insert(HeaderName::from_static("preference-applied"), applied);
-    }
-    Ok(response)
-}
-
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
     use super::*;
 
     #[test]

@@ -15,6 +15,7 @@
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -133,11 +134,20 @@ pub fn holds(root: &Path, id: &str) -> bool {
     valid_id(id.to_owned()).is_ok() && folder_of(root, id).is_dir()
 }
 
-/// Removes the files of upload `id`.
-pub fn remove_files(root: &Path, id: &str) {
-    if holds(root, id) {
-        remove_folder(&folder_of(root, id));
+/// Removes the files of upload `id`, for good: a restart does not find them again.
+///
+/// # Errors
+/// Errors of the disk; the upload is then as it was.
+pub fn remove_files(root: &Path, id: &str) -> io::Result<()> {
+    if !holds(root, id) {
+        return Ok(());
     }
+    // A folder is renamed at once or not at all, and the next start removes what has this name.
+    let away = partial(root);
+    fs::rename(folder_of(root, id), &away)?;
+    sync_folder(&root.join(FOLDER))?;
+    remove_folder(&away);
+    Ok(())
 }
 
 pub fn remove_folder(path: &Path) {
@@ -150,7 +160,9 @@ pub fn remove_folder(path: &Path) {
 }
 
 /// Returns the name of a folder for files that are not an upload yet.
-pub fn partial(root: &Path, number: u64) -> PathBuf {
+pub fn partial(root: &Path) -> PathBuf {
+    static NUMBER: AtomicU64 = AtomicU64::new(0);
+    let number = NUMBER.fetch_add(1, Ordering::Relaxed);
     root.join(FOLDER).join(format!("{PARTIAL}{}-{number}", std::process::id()))
 }
 

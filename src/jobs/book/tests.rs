@@ -185,10 +185,71 @@ fn limits_of_the_book() {
         book.admit(spec("a"), Origin::default(), None, 0),
         Err(Refusal::TooMany { limit: 6 })
     );
+    // All jobs that could make room are held.
+    ids.iter().for_each(|&id| book.hold(id));
+    assert_eq!(book.make_room(None, None), None);
+    ids.iter().for_each(|&id| assert!(!book.release(id)));
     book.resume(ids[0], 2).unwrap();
     book.resume(ids[1], 2).unwrap();
     assert_eq!(book.resume(ids[2], 2), Err(Refusal::TooManyUnfinished { limit: 4 }));
     assert_eq!(book.get(ids[2]).unwrap().state, State::Cancelled);
+}
+
+#[test]
+fn no_owner_keeps_the_others_out_of_the_queue() {
+    let mut book = book();
+    let of = |owner: &str| Origin { owner: Some(owner.to_owned()), request_id: None };
+    let anns = [(); 2].map(|()| admit_of(&mut book, Some("ann"), "away", 0));
+    let full = Err(Refusal::TooManyOfOwner { limit: 2 });
+    assert_eq!(book.admit(spec("a"), of("ann"), None, 0), full);
+    let bobs = admit_of(&mut book, Some("bob"), "a", 0);
+    admit_of(&mut book, Some("cid"), "a", 0);
+    assert_eq!(
+        book.admit(spec("a"), of("bob"), None, 0),
+        Err(Refusal::TooManyUnfinished { limit: 4 })
+    );
+    // Jobs that wait for a scene take places of their owner only.
+    let missing = |spec: &Spec| match spec.scene.as_str() {
+        "away" => Need::Missing("no scene".to_owned()),
+        _ => Need::Nothing,
+    };
+    assert_eq!(book.note_missing(1, missing), anns);
+    admit_of(&mut book, Some("bob"), "a", 1);
+    assert_eq!(book.admit(spec("a"), of("ann"), None, 1), full);
+    book.cancel(anns[0], 2).unwrap();
+    book.cancel(bobs, 2).unwrap();
+    admit_of(&mut book, Some("ann"), "a", 3);
+    assert_eq!(book.resume(anns[0], 4), Err(Refusal::TooManyOfOwner { limit: 2 }));
+}
+
+#[test]
+fn the_owner_of_most_ended_jobs_makes_room() {
+    let mut book = book();
+    let end = |book: &mut Book, owner: &str, now_ms: u64| {
+        let id = admit_of(book, Some(owner), "a", now_ms);
+        book.cancel(id, now_ms).unwrap();
+        id
+    };
+    assert_eq!(book.make_room(Some("bob"), None), None, "there is room");
+    let bobs = end(&mut book, "bob", 0);
+    let anns: Vec<JobId> = (1..6).map(|now_ms| end(&mut book, "ann", now_ms)).collect();
+    assert_eq!(
+        book.admit(spec("a"), Origin::default(), None, 9),
+        Err(Refusal::TooMany { limit: 6 })
+    );
+    let removed = book.make_room(Some("bob"), None).unwrap();
+    assert_eq!(removed.id, anns[0]);
+    assert!(book.is_held(removed.id) && book.release(removed.id), "who removed it clears up");
+    let last = admit_of(&mut book, Some("bob"), "a", 9);
+    assert!(book.get(bobs).is_ok() && last > bobs);
+    // A request that creates no job takes no room.
+    let known = repeat("bob", "k", &spec("a"));
+    book.cancel(last, 9).unwrap();
+    let removed = book.make_room(Some("bob"), known.as_ref()).unwrap();
+    book.release(removed.id);
+    let of_bob = Origin { owner: Some("bob".to_owned()), request_id: None };
+    book.admit(spec("a"), of_bob, known.clone(), 9).unwrap();
+    assert_eq!(book.make_room(Some("bob"), known.as_ref()), None);
 }
 
 #[test]
@@ -350,8 +411,14 @@ proptest! {
                         }
                         Ok(Admitted::Before(id)) => prop_assert!(known.contains(&id)),
                         Err(Refusal::TooMany { .. }) => prop_assert_eq!(before.len(), LIMITS.most),
-                        Err(Refusal::TooManyUnfinished { .. }) => {
-                            prop_assert_eq!(before.iter().filter(|job| !job.has_ended()).count(), LIMITS.most_unfinished);
+                        Err(Refusal::TooManyUnfinished { limit }) => {
+                            let waits = |job: &&Record| matches!(job.state, State::Queued { waits_for: Some(_) });
+                            let unfinished = before.iter().filter(|job| !job.has_ended() && !waits(job));
+                            prop_assert!(unfinished.count() >= limit);
+                        }
+                        Err(Refusal::TooManyOfOwner { limit }) => {
+                            let own = |job: &&Record| !job.has_ended() && job.owner.as_deref() == owner;
+                            prop_assert_eq!(before.iter().filter(own).count(), limit);
                         }
                         Err(other) => prop_assert!(false, "{:?}", other),
                     }
@@ -455,8 +522,11 @@ proptest! {
             }
             let ids: BTreeSet<JobId> = book.all().map(|job| job.id).collect();
             prop_assert_eq!(&ids, &known);
-            let unfinished = book.all().filter(|job| !job.has_ended()).count();
-            prop_assert!(unfinished <= LIMITS.most_unfinished && ids.len() <= LIMITS.most);
+            for owner in ["ann", "bob"] {
+                let own = |job: &&Record| !job.has_ended() && job.owner.as_deref() == Some(owner);
+                prop_assert!(book.all().filter(own).count() <= LIMITS.most_unfinished_per_owner());
+            }
+            prop_assert!(ids.len() <= LIMITS.most);
             let running = book.all().filter(|job| job.state == State::Running).all(|job| {
                 held.iter().any(|(id, _)| *id == job.id) || due.contains_key(&job.id)
             });
