@@ -29,9 +29,9 @@ use futures::Stream;
 use glam::DVec3;
 use tokio::io::AsyncWriteExt;
 
-use self::form::{Limited, Progress};
 pub use self::loading::{Origin, load, stand_down};
 
+use self::form::{Limited, Progress};
 use self::loading::answer;
 use self::quota::Share;
 use self::store::{FOLDER, Record};
