@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::metrics::{Coverage, Spread};
+use super::temporal::Change;
 use crate::plan::Given;
 
 /// Name of the journal in the folder of a report.
@@ -55,6 +56,23 @@ pub struct PoseRecord {
     pub ortho_height: Option<f64>,
 }
 
+/// The frames of a camera path that are compared.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[schema(as = SurveyPath)]
+pub struct PathRecord {
+    /// Name of the path in the scene, or of its file.
+    pub name: String,
+    /// Frames per second.
+    pub fps: f64,
+    /// Numbers of the first and of the last frame.
+    pub from: u64,
+    pub to: u64,
+    /// SHA-256 of the frames' cameras.
+    pub cameras: String,
+    /// Settings that are compared along the path.
+    pub rows: Vec<String>,
+}
+
 /// What a survey measures. Two runs with equal identities continue each other.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[schema(as = SurveyIdentity)]
@@ -72,6 +90,9 @@ pub struct Identity {
     pub reference: String,
     pub poses: Vec<PoseRecord>,
     pub rows: Vec<String>,
+    /// The path along which frames are compared as well, if there is one.
+    #[serde(default)]
+    pub path: Option<PathRecord>,
 }
 
 impl Identity {
@@ -132,6 +153,23 @@ pub enum Record {
         row: String,
         repeat: u32,
         gpu_ms: f64,
+    },
+    /// A frame of the path.
+    Frame {
+        frame: u64,
+        row: String,
+        /// The row whose frame this one is, where it is drawn as that of another row.
+        same_as: Option<String>,
+        /// Mean squared error of the red, green and blue bytes.
+        mse: f64,
+        /// What changed since the frame before; `None` for the first frame, and after one that was refused.
+        change: Option<Change>,
+    },
+    /// The program refuses a frame of the path.
+    FrameRefused {
+        frame: u64,
+        row: String,
+        why: String,
     },
 }
 
@@ -204,6 +242,33 @@ impl Journal {
         Ok(journal)
     }
 
+    /// The journal of this name in a folder of journals, where there is one and can be written; a journal of another survey is replaced. Else one that ends
+    /// with the process.
+    pub fn resumed(folder: Option<&Path>, name: &str, identity: &Identity, date: &str) -> Journal {
+        let Some(folder) = folder.map(|folder| folder.join(name)) else {
+            return Journal::in_memory(identity, date);
+        };
+        let opened = Journal::open(&folder, identity, date).or_else(|error| {
+            let is_useless = matches!(
+                error,
+                JournalError::Other { .. }
+                    | JournalError::Damaged { .. }
+                    | JournalError::Foreign { .. }
+            );
+            if !is_useless {
+                return Err(error);
+            }
+            tracing::warn!(%error, "a measurement begins anew");
+            std::fs::remove_dir_all(&folder)
+                .map_err(|error| JournalError::Io { file: folder.clone(), error })?;
+            Journal::open(&folder, identity, date)
+        });
+        opened.unwrap_or_else(|error| {
+            tracing::error!(%error, "a measurement is kept in memory alone");
+            Journal::in_memory(identity, date)
+        })
+    }
+
     /// A journal that ends with the process.
     pub fn in_memory(identity: &Identity, date: &str) -> Journal {
         Journal { place: None, date: date.to_owned(), key: identity.key(), records: Vec::new() }
@@ -266,6 +331,7 @@ fn differences(found: &Identity, wanted: &Identity) -> Vec<String> {
         ("poses", names(found), names(wanted)),
         ("reference", found.reference.clone(), wanted.reference.clone()),
         ("number of settings", found.rows.len().to_string(), wanted.rows.len().to_string()),
+        ("path", path(found), path(wanted)),
     ];
     let mut differences: Vec<String> = pairs
         .into_iter()
@@ -280,6 +346,15 @@ fn differences(found: &Identity, wanted: &Identity) -> Vec<String> {
 
 fn size(identity: &Identity) -> String {
     format!("{}x{}", identity.width, identity.height)
+}
+
+fn path(identity: &Identity) -> String {
+    identity.path.as_ref().map_or("none".to_owned(), |path| {
+        let PathRecord { name, fps, from, to, cameras, rows } = path;
+        let cameras = &cameras[..cameras.len().min(8)];
+        let settings = rows.len();
+        format!("{name} at {fps} frames per second, frames {from} to {to}, cameras {cameras}…, {settings} settings")
+    })
 }
 
 /// Writes a whole file: under another name first, then renamed, so that a reader never sees a part of it.
@@ -310,6 +385,7 @@ mod tests {
             reference: "r".into(),
             poses: Vec::new(),
             rows: vec!["a".into()],
+            path: None,
         }
     }
 
@@ -374,6 +450,15 @@ mod tests {
         );
         let error = open(|wanted| wanted.adapter = "B".into());
         assert!(error.contains("adapter A (now B)"), "{error}");
+        let error = open(|wanted| {
+            let (name, cameras) = ("fly".into(), "0123456789".into());
+            wanted.path =
+                Some(PathRecord { name, fps: 30.0, from: 0, to: 9, cameras, rows: Vec::new() });
+        });
+        assert!(
+            error.contains("path none (now fly at 30 frames per second, frames 0 to 9"),
+            "{error}"
+        );
         let error = open(|wanted| wanted.tag = "u".into());
         assert!(error.contains("content of the scene"), "{error}");
         assert!(Journal::open(folder.path(), &identity(), "tuesday").is_ok());
@@ -410,6 +495,29 @@ mod tests {
         journal.add(time(0)).unwrap();
         assert_eq!((journal.records.as_slice(), journal.date.as_str()), (&[time(0)][..], "monday"));
         assert_ne!(journal.key, Journal::in_memory(&Identity { width: 65, ..identity() }, "").key);
+    }
+
+    #[test]
+    fn a_journal_is_resumed_where_that_is_possible() {
+        let folder = tempfile::tempdir().unwrap();
+        let place = Some(folder.path());
+        Journal::resumed(place, "a", &identity(), "monday").add(time(0)).unwrap();
+        let again = Journal::resumed(place, "a", &identity(), "tuesday");
+        assert_eq!((again.records.as_slice(), again.date.as_str()), (&[time(0)][..], "monday"));
+        // Another process writes it.
+        let mut second = Journal::resumed(place, "a", &identity(), "tuesday");
+        assert!(second.place.is_none() && second.records.is_empty());
+        second.add(time(1)).unwrap();
+        drop(again);
+        let other = Identity { width: 65, ..identity() };
+        let replaced = Journal::resumed(place, "a", &other, "tuesday");
+        assert!(replaced.records.is_empty() && replaced.place.is_some());
+        drop(replaced);
+        std::fs::write(folder.path().join("a").join(JOURNAL), "mine\n").unwrap();
+        assert!(Journal::resumed(place, "a", &other, "tuesday").place.is_some());
+        std::fs::write(folder.path().join("file"), "").unwrap();
+        assert!(Journal::resumed(place, "file", &other, "tuesday").place.is_none());
+        assert!(Journal::resumed(None, "a", &other, "tuesday").place.is_none());
     }
 
     #[test]

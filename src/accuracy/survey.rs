@@ -7,8 +7,12 @@
 //!
 //! Rows whose frames the program draws alike are drawn once; the others name that row and the receipt's reason.
 //!
+//! Frames of a camera path are compared with those before them ([`Survey::run_along`]).
+//!
 //! A survey without a folder keeps no frames, and draws the reference of a pose anew when it is needed.
 
+mod along;
+mod compare;
 mod known;
 
 use std::collections::HashSet;
@@ -17,18 +21,18 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+pub use self::along::{MOST_FRAMES, Path as AlongPath};
+
+use self::compare::notes;
 use self::known::Known;
-use super::difference::{Difference, Shot};
-use super::journal::{Identity, Journal, JournalError, Metrics, PoseRecord, Record, write_whole};
-use super::metrics::{self, SizeMismatch};
+use super::journal::{Identity, Journal, JournalError, PoseRecord, Record, write_whole};
+use super::metrics::SizeMismatch;
 use super::poses::{UnknownCamera, around, of_cameras};
 use super::reference::Reference;
 use super::sweep::{Row, order, owners, slug};
-use super::truth::{Finer, PARTS, Truth, Wide, floats, is_covered, opaque, quads};
+use super::truth::{Finer, PARTS, Truth, Wide, floats, is_covered, quads};
 use crate::encode::{EncodeError, FrameImage, ImageFormat, encode};
-use crate::engine::{
-    Client, EncodedFrame, Engine, EngineError, FrameRequest, Pose, Receipt, SceneInfo,
-};
+use crate::engine::{Client, EncodedFrame, Engine, EngineError, FrameRequest, Pose, SceneInfo};
 use crate::math::{Camera, CameraError, Lens};
 use crate::plan::{Given, Output, Settings};
 
@@ -222,6 +226,7 @@ impl Survey<'_> {
             reference,
             poses: self.poses.iter().map(NamedPose::record).collect(),
             rows: self.rows.iter().map(|row| row.label.clone()).collect(),
+            path: None,
         })
     }
 
@@ -238,7 +243,7 @@ impl Survey<'_> {
             self.complete(Settings::exact()),
             Output::Color,
         );
-        let rows = self.rows.iter().map(|row| self.row_request(first, row));
+        let rows = self.rows.iter().map(|row| self.row_request(first.camera, row));
         // A row that is refused needs nothing.
         rows.chain([exact]).filter(|request| self.engine.must_bake(request)).collect()
     }
@@ -312,25 +317,18 @@ impl Survey<'_> {
         ))
     }
 
-    /// Draws the reference of a pose.
+    /// Draws the reference from a camera.
     ///
     /// # Errors
     /// The engine fails, or the size is beyond a limit.
-    pub fn truth(&self, pose: &NamedPose) -> Result<Truth, SurveyError> {
+    pub fn truth(&self, camera: Camera) -> Result<Truth, SurveyError> {
         let [width, height] = self.size;
         if let Some(oracle) = self.oracle {
-            let view = pose.camera.view(width, height)?;
+            let view = camera.view(width, height)?;
             let splats = oracle.description().splats;
             return Ok(Truth::of_oracle(&oracle.frame_with(&view, PARTS, Some(&splats))));
         }
-        let finer = self.finer()?;
-        let own = self.request(
-            Pose::Camera(pose.camera),
-            self.complete(Settings::exact()),
-            Output::Color,
-        );
-        let decided = *self.engine.resolve_blocking(own.clone())?.settings();
-        let decided = self.complete(decided);
+        let (finer, own, decided) = self.reference_request(camera)?;
         let draw =
             |output, transparent| self.draw(finer.request(&own, &decided, output, transparent));
         let color = quads(&draw(Output::Color, false)?.bytes);
@@ -344,6 +342,17 @@ impl Survey<'_> {
         Ok(Truth::of_wide(width, height, PARTS, &wide))
     }
 
+    /// What the reference from a camera is made of: its size, a frame at full detail, and the settings that this frame resolves to.
+    fn reference_request(
+        &self,
+        camera: Camera,
+    ) -> Result<(Finer, FrameRequest, Settings), SurveyError> {
+        let settings = self.complete(Settings::exact());
+        let own = self.request(Pose::Camera(camera), settings, Output::Color);
+        let decided = *self.engine.resolve_blocking(own.clone())?.settings();
+        Ok((self.finer()?, own, self.complete(decided)))
+    }
+
     /// The reference of a pose, from the folder if it is there. `key` is that of the survey.
     fn kept_truth(&self, pose: &NamedPose, key: u64) -> Result<Truth, SurveyError> {
         let png = self.file(pose, REFERENCE, "");
@@ -354,7 +363,7 @@ impl Survey<'_> {
         {
             return Ok(truth);
         }
-        let truth = self.truth(pose)?;
+        let truth = self.truth(pose.camera)?;
         if truth.covered_pixels() == 0 {
             return Err(SurveyError::Blank(pose.name.clone()));
         }
@@ -416,14 +425,15 @@ impl Survey<'_> {
             if self.file(pose, REFERENCE, "").is_some_and(|file| !file.exists()) {
                 truth = Some(self.kept_truth(pose, key)?);
             }
-            if self.purpose == Purpose::Planner {
+            let is_missing = |row: &Row| !known.has(&pose.name, &row.label);
+            if self.purpose == Purpose::Planner && self.rows.iter().any(is_missing) {
                 truth = match self.kept_truth(pose, key) {
                     // At another size, something was seen.
                     Err(SurveyError::Blank(_)) => continue,
                     truth => Some(truth?),
                 };
             }
-            let (drawn, owners) = self.owners(pose);
+            let (drawn, owners) = self.owners(pose.camera, &self.rows);
             for (row_number, row) in self.rows.iter().enumerate() {
                 self.check_stop()?;
                 done += 1;
@@ -438,7 +448,7 @@ impl Survey<'_> {
                 let record = match (&drawn[row_number], owners[row_number]) {
                     (Err(why), _) => Record::Refused { pose: name, row: label, why: why.clone() },
                     (Ok(_), Some(owner)) if owner != row_number => {
-                        let notes = notes(&self.draw(self.row_request(pose, row))?.receipt);
+                        let notes = notes(&self.draw(self.row_request(pose.camera, row))?.receipt);
                         let same_as = self.rows[owner].label.clone();
                         Record::Same { pose: name, row: label, same_as, notes }
                     }
@@ -467,9 +477,9 @@ impl Survey<'_> {
             }
             tell(Event { done, total, what: &format!("timing {}, {}", pose.name, row.label) });
             if warm.insert((draw.pose, draw.row)) {
-                self.draw(self.row_request(pose, row))?;
+                self.draw(self.row_request(pose.camera, row))?;
             }
-            let receipt = self.draw(self.row_request(pose, row))?.receipt.clone();
+            let receipt = self.draw(self.row_request(pose.camera, row))?.receipt.clone();
             let ns = receipt.gpu_share_ns();
             let gpu_ms = ns.ok_or(SurveyError::NoTimestamps(receipt.adapter))? as f64 / 1e6;
             let (pose, row) = (pose.name.clone(), row.label.clone());
@@ -478,83 +488,31 @@ impl Survey<'_> {
         Ok(())
     }
 
-    /// What each row is drawn with at a pose, or why it is refused, and the row that stands for all that are drawn alike.
-    fn owners(&self, pose: &NamedPose) -> (Vec<Result<Given, String>>, Vec<Option<usize>>) {
-        let drawn: Vec<Result<Given, String>> = self
-            .rows
+    /// What each row is drawn with from a camera, or why it is refused, and the row that stands for all that are drawn alike.
+    fn owners(
+        &self,
+        camera: Camera,
+        rows: &[Row],
+    ) -> (Vec<Result<Given, String>>, Vec<Option<usize>>) {
+        let drawn: Vec<Result<Given, String>> = rows
             .iter()
-            .map(|row| match self.engine.resolve_blocking(self.row_request(pose, row)) {
+            .map(|row| match self.engine.resolve_blocking(self.row_request(camera, row)) {
                 Ok(frame) => Ok(frame.settings().applied()),
                 Err(error) => Err(error.to_string()),
             })
             .collect();
-        let pairs: Vec<_> = self
-            .rows
-            .iter()
-            .zip(&drawn)
-            .map(|(row, drawn)| (&row.given, drawn.as_ref().ok()))
-            .collect();
+        let pairs: Vec<_> =
+            rows.iter().zip(&drawn).map(|(row, drawn)| (row, drawn.as_ref().ok())).collect();
         let owners = owners(&pairs);
         (drawn, owners)
     }
 
-    fn row_request(&self, pose: &NamedPose, row: &Row) -> FrameRequest {
+    fn row_request(&self, camera: Camera, row: &Row) -> FrameRequest {
         let settings = self.complete(Settings::from(row.given));
-        self.request(Pose::Camera(pose.camera), settings, Output::Color)
+        let [width, height] = row.drawn_size(self.size);
+        let request = self.request(Pose::Camera(camera), settings, Output::Color);
+        FrameRequest { width, height, ..request }
     }
-
-    /// Draws all outputs of a row, compares them with the reference, and writes the frame and its FLIP map.
-    fn compare(&self, pose: &NamedPose, row: &Row, truth: &Truth) -> Result<Record, SurveyError> {
-        let request = self.row_request(pose, row);
-        let frame = self.draw(request.clone())?;
-        let color: Vec<[u8; 4]> = quads(&frame.bytes).into_iter().map(opaque).collect();
-        let settings = request.settings.finer(1, true);
-        let seen = self.draw(FrameRequest { settings, ..request.clone() })?;
-        let covered: Vec<bool> = quads(&seen.bytes).into_iter().map(is_covered).collect();
-        // Depths and normals of another drawing say nothing about this one.
-        let instead = frame.receipt.settings.instead_because;
-        let own = |output| {
-            if self.purpose == Purpose::Planner {
-                return Ok(None);
-            }
-            let frame = self.draw(FrameRequest { output, ..request.clone() })?;
-            let is_own = frame.receipt.settings.instead_because == instead;
-            Ok::<_, SurveyError>(is_own.then_some(frame))
-        };
-        let depth = own(Output::Depth)?.map(|frame| floats(&frame.bytes));
-        let depth = depth.map(|depth| metrics::depth_error(&truth.depth, &depth)).transpose()?;
-        let normals = metrics::normals_from_rgba8(&truth.normal);
-        let normal = own(Output::Normal)?.map(|frame| {
-            let own = metrics::normals_from_rgba8(&quads(&frame.bytes));
-            metrics::normal_error_deg(&normals, &own)
-        });
-        let shot = Shot { color: &color, covered: &covered };
-        let Difference { mse, ssim, flip, max_error, coverage, map } =
-            Difference::between(truth.shot(), shot, self.size)?;
-        let (depth, normal_deg) = (depth.flatten(), normal.transpose()?.flatten());
-        let found = Metrics { mse, ssim, flip, max_error, coverage, depth, normal_deg };
-        if let Some(file) = self.file(pose, &row.slug(), "") {
-            self.write_png(&file, color)?;
-        }
-        if let Some(file) = self.file(pose, &row.slug(), "-flip") {
-            self.write_png(&file, map.into_iter().map(super::report::heat).collect())?;
-        }
-        Ok(Record::Image {
-            pose: pose.name.clone(),
-            row: row.label.clone(),
-            metrics: Box::new(found),
-            drawn: Box::new(frame.receipt.settings.applied),
-            notes: notes(&frame.receipt),
-        })
-    }
-}
-
-/// The receipt's reasons for drawing in another way than requested.
-fn notes(receipt: &Receipt) -> Vec<String> {
-    let used = &receipt.settings;
-    let because = used.because.clone();
-    let instead = used.instead_because.map(str::to_owned);
-    [because, instead, used.full_because.clone()].into_iter().flatten().collect()
 }
 
 #[cfg(test)]

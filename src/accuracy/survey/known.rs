@@ -24,7 +24,8 @@ impl Known {
 
     pub fn see(&mut self, record: &Record) {
         match record {
-            Record::Run { .. } => {}
+            // Frames of a path are none of a pose.
+            Record::Run { .. } | Record::Frame { .. } | Record::FrameRefused { .. } => {}
             Record::Image { pose, row, drawn, .. } => {
                 self.drawn.insert((pose.clone(), row.clone()), Some(**drawn));
             }
@@ -52,7 +53,7 @@ impl Known {
             let drawn = |row: &Row| {
                 self.drawn.get(&(pose.name.clone(), row.label.clone())).and_then(Option::as_ref)
             };
-            let pairs: Vec<_> = rows.iter().map(|row| (&row.given, drawn(row))).collect();
+            let pairs: Vec<_> = rows.iter().map(|row| (row, drawn(row))).collect();
             let own = owners(&pairs).into_iter().enumerate();
             subjects.extend(
                 own.filter(|&(row, owner)| owner == Some(row)).map(|(row, _)| (number, row)),
@@ -113,6 +114,7 @@ mod tests {
             label: label.to_owned(),
             family: String::new(),
             given: Given::default(),
+            scale: 1.0,
         };
         let rows = ["a", "b", "c", "d", "e", "f"].map(row);
         let camera = Camera {
