@@ -21,6 +21,7 @@ use common::report::{Bound, Report, number};
 use common::{median, pick, quantile};
 use glam::{DQuat, DVec3};
 use pointillist::accuracy::metrics;
+use pointillist::accuracy::temporal::Change;
 use pointillist::encode::ImageFormat;
 use pointillist::engine::{EncodedFrame, FrameRequest, Pose};
 use pointillist::generate::{Kind, Parameters};
@@ -39,9 +40,8 @@ const NEAREST: f64 = 0.35;
 const FARTHEST: f64 = 10.0;
 /// Pixels by which the image moves between two frames of a flight.
 const STEP_PX: f64 = 0.1;
-/// A change of a channel that somebody sees, in 255ths, and the number of neighbouring pixels from which on it is a pop.
-const SEEN: f32 = 32.0;
-const POP_PX: usize = 4;
+/// Least flicker energy of full detail that others are compared with: a change of one byte between two frames.
+const LEAST_ENERGY: f64 = 1.0 / (3 * SIDE * SIDE) as f64;
 /// Distance in pixels that outlines may be off beside the accepted error: each frame has one sample a pixel.
 const OUTLINE_SLACK_PX: f64 = 1.5;
 
@@ -283,16 +283,6 @@ fn beyond_px(covered: &[bool], fine: &[bool]) -> anyhow::Result<f64> {
     Ok(metrics::farthest_px(&middles, fine, side as u32, side as u32)? / FINE as f64)
 }
 
-/// Changes from frame to frame that the truth does not show, in 255ths of each channel.
-fn unexplained(frame: [&[[u8; 4]]; 2], truth: [&[[u8; 4]]; 2]) -> Vec<[f32; 3]> {
-    let step = |of: [&[[u8; 4]]; 2], pixel: usize, channel: usize| {
-        f32::from(of[1][pixel][channel]) - f32::from(of[0][pixel][channel])
-    };
-    let change =
-        |pixel: usize, channel: usize| step(frame, pixel, channel) - step(truth, pixel, channel);
-    (0..SIDE * SIDE).map(|i| std::array::from_fn(|channel| change(i, channel))).collect()
-}
-
 /// A camera that looks at the middle of the model from a distance, in units of the whole view's, and a side.
 fn facing(orbit: &Orbit, turn: f64, distance: f64) -> Camera {
     let reach = (orbit.eye - orbit.target).length();
@@ -342,7 +332,7 @@ fn crossing(drawing: &Drawing, orbit: &Orbit, setting: Setting) -> anyhow::Resul
     Ok(Some(far))
 }
 
-/// Energy of unexplained changes, and the number of pops, of each of the settings.
+/// Flicker energy, summed over the frames, and the number of pops, of each of the settings.
 fn fly(
     drawing: &Drawing,
     cameras: &[Camera],
@@ -357,12 +347,10 @@ fn fly(
         }
         if let Some(before) = &before {
             for (index, (energy, pops)) in found.iter_mut().enumerate() {
-                let off = unexplained([&before[index + 1], &now[index + 1]], [&before[0], &now[0]]);
-                *energy += off.iter().flatten().map(|v| f64::from(v * v)).sum::<f64>();
-                let seen: Vec<bool> =
-                    off.iter().map(|v| v.iter().any(|v| v.abs() > SEEN)).collect();
-                let areas = metrics::areas(&seen, SIDE as u32, SIDE as u32)?;
-                *pops += areas.iter().filter(|&&area| area >= POP_PX).count() as u64;
+                let frames: [&[[u8; 4]]; 2] = [&before[index + 1], &now[index + 1]];
+                let change = Change::between(frames, [&before[0], &now[0]], [SIDE as u32; 2])?;
+                *energy += change.energy;
+                *pops += change.pops;
             }
         }
         before = Some(now);
@@ -422,7 +410,7 @@ fn main() -> anyhow::Result<()> {
         for around in [false, true] {
             let flown = fly(&drawing, &flight(&orbit, around, frames, 2.0), &SETTINGS)?;
             for (index, (energy, pops)) in flown.iter().enumerate() {
-                found[index].flicker.push(energy / flown[full_of(index)].0.max(1.0));
+                found[index].flicker.push(energy / flown[full_of(index)].0.max(LEAST_ENERGY));
                 found[index].pops += pops;
             }
         }

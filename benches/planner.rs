@@ -18,7 +18,6 @@ use common::{files, median, pick, quantile};
 use glam::DVec3;
 use pointillist::accuracy::metrics;
 use pointillist::accuracy::planning::{LEAST_SIZE, Planning};
-use pointillist::accuracy::survey::NamedPose;
 use pointillist::accuracy::sweep::rows;
 use pointillist::accuracy::truth::{opaque, quads};
 use pointillist::bake::cache::BakeCache;
@@ -140,7 +139,7 @@ fn main() -> anyhow::Result<()> {
                 (planning.least_size[0] as f64 * (1.0 + 2.0 * random.unit())).round() as u32;
             let size = [width, width * 9 / 16];
             let survey = planning.survey(size, Vec::new(), Vec::new());
-            let truth = survey.truth(&NamedPose::new(number, "random", camera))?;
+            let truth = survey.truth(camera)?;
             if truth.covered_pixels() == 0 {
                 continue;
             }

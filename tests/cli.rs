@@ -168,13 +168,87 @@ fn accuracy_measures_a_scene_and_a_second_run_has_nothing_to_do() {
 }
 
 #[test]
+fn accuracy_along_a_path_tells_what_flickers_and_goes_on() {
+    let shell = Shell::new();
+    let path = r#"{ "fps": 20, "keys": [
+        { "t": 0, "eye": [0, 0, 5], "target": [0, 0, 0] }, { "t": 1, "eye": [2, 1, 4], "target": [0, 0, 0] } ] }"#;
+    std::fs::write(shell.path("fly.json"), path).unwrap();
+    let file = shell.path("fly.json");
+    let options =
+        "-o report --quick --camera outside --size 48x36 --repeats 1 --from 3 --to 6 --json";
+    let mut line: Vec<&str> = ["accuracy", BALL].into_iter().chain(options.split(' ')).collect();
+    line.extend(["--path", file.to_str().unwrap()]);
+    let run = |line: &[&str]| {
+        let mut command = shell.command(line);
+        command.env_remove("XDG_CACHE_HOME").env("POINTILLIST_NO_CACHE", "true");
+        command.output().unwrap()
+    };
+    let results = json(&run(&line));
+    let found = &results["identity"]["path"];
+    assert_eq!(
+        (&found["name"], &found["fps"], &found["from"], &found["to"]),
+        (&"fly.json".into(), &20.0.into(), &3.into(), &6.into())
+    );
+    let along = &results["along"];
+    assert_eq!(along["refused"].as_array().map(Vec::len), Some(0), "{along}");
+    let entries = along["entries"].as_array().unwrap();
+    let of = |row: &str| entries.iter().find(|entry| entry["row"] == row).unwrap();
+    for row in ["points full", "splats full", "fuzzy full", "painted full", "pull_push full"] {
+        let entry = of(row);
+        assert!(entry["flicker"].as_f64().unwrap() > 0.0, "{entry}");
+        assert_eq!(
+            (&entry["flicker_times"], &entry["frames"]),
+            (&1.0.into(), &4.into()),
+            "{entry}"
+        );
+        assert!((10.0..60.0).contains(&entry["psnr_db"].as_f64().unwrap()), "{entry}");
+    }
+    // Points of one sample a pixel flicker more than splats, and antialiasing steadies both.
+    let flicker = |row: &str| of(row)["flicker"].as_f64().unwrap();
+    assert!(flicker("points full") > flicker("splats full"), "{along}");
+    assert!(flicker("splats full antialias=16x") < flicker("splats full"), "{along}");
+    assert!(of("points full")["pop_px"].as_u64().unwrap() > 0, "{along}");
+    let text = std::fs::read_to_string(shell.path("report/accuracy.md")).unwrap();
+    assert!(text.contains("## Along fly.json") && text.contains("| splats full | 4 |"), "{text}");
+
+    // A run that was cut off within a frame of the path goes on with the same figures.
+    let file = shell.path("report/measurements.jsonl");
+    let journal = std::fs::read_to_string(&file).unwrap();
+    let cut: Vec<&str> = journal.lines().filter(|line| !line.contains(r#""frame":6"#)).collect();
+    let whole = cut.iter().filter(|line| line.contains(r#""frame":5"#)).count();
+    let kept = cut.len() - whole / 2;
+    std::fs::write(&file, cut[..kept].join("\n") + "\n").unwrap();
+    let resumed = run(&line);
+    let told = String::from_utf8_lossy(&resumed.stderr).into_owned();
+    assert!(told.contains("fly.json, frame") && !told.contains("timing"), "{told}");
+    assert_eq!(json(&resumed), results);
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), journal);
+    let again = run(&line);
+    assert!(String::from_utf8_lossy(&again.stderr).contains("nothing to draw"), "{again:?}");
+
+    // Other frames are another report.
+    let at = line.iter().position(|word| *word == "6").unwrap();
+    line[at] = "5";
+    let told = String::from_utf8(run(&line).stderr).unwrap();
+    assert!(told.contains("frames 3 to 6") && told.contains("(now fly.json"), "{told}");
+}
+
+#[test]
 fn accuracy_says_what_it_cannot_measure() {
     let shell = Shell::new();
     std::fs::write(shell.path("empty.json"), r#"{"assets": {}, "nodes": []}"#).unwrap();
     std::fs::write(shell.path("broken.ply"), "ply\nnonsense").unwrap();
+    let path = r#"{ "fps": 2, "keys": [{ "t": 0, "eye": [0, 0, 5], "target": [0, 0, 0] }, { "t": 1, "eye": [2, 0, 5], "target": [0, 0, 0] }] }"#;
+    std::fs::write(shell.path("p.json"), path).unwrap();
     for (line, expected) in [
         (&["accuracy", BALL, "-o", "r", "--camera", "nowhere"][..], "its cameras are"),
         (&["accuracy", "none.json", "-o", "r"], "none.json"),
+        (&["accuracy", BALL, "-o", "r", "--path", "nowhere"], "--path nowhere"),
+        (&["accuracy", BALL, "-o", "r", "--path", "p.json", "--from", "9"], "--from: 9 is beyond"),
+        (
+            &["accuracy", BALL, "-o", "r", "--path", "p.json", "--to", "0"],
+            "2 to 2000 can be compared",
+        ),
         (&["accuracy", "broken.ply", "-o", "r"], "broken.ply"),
         (&["accuracy", "empty.json", "-o", "r"], "empty"),
         (&["accuracy", "cloud.ply", "-o", "cloud.ply/r", "--quick"], "cloud.ply/r"),

@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::metrics::{Coverage, Spread};
+use super::temporal::Change;
 use crate::plan::Given;
 
 /// Name of the journal in the folder of a report.
@@ -55,6 +56,24 @@ pub struct PoseRecord {
     pub ortho_height: Option<f64>,
 }
 
+/// The frames of a camera path that are compared.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[schema(as = SurveyPath)]
+pub struct PathRecord {
+    /// Name of the path in the scene, or of its file.
+    pub name: String,
+    /// Frames per second.
+    pub fps: f64,
+    /// Number of the first frame.
+    pub from: u64,
+    /// Number of the last frame.
+    pub to: u64,
+    /// SHA-256 of the frames' cameras.
+    pub cameras: String,
+    /// Settings that are compared along the path.
+    pub rows: Vec<String>,
+}
+
 /// What a survey measures. Two runs with equal identities continue each other.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[schema(as = SurveyIdentity)]
@@ -72,6 +91,9 @@ pub struct Identity {
     pub reference: String,
     pub poses: Vec<PoseRecord>,
     pub rows: Vec<String>,
+    /// The path along which frames are compared as well, if there is one.
+    #[serde(default)]
+    pub path: Option<PathRecord>,
 }
 
 impl Identity {
@@ -132,6 +154,23 @@ pub enum Record {
         row: String,
         repeat: u32,
         gpu_ms: f64,
+    },
+    /// A frame of the path.
+    Frame {
+        frame: u64,
+        row: String,
+        /// The row whose frame this one is, where it is drawn as that of another row.
+        same_as: Option<String>,
+        /// Mean squared error of the red, green and blue bytes.
+        mse: f64,
+        /// What changed since the frame before; `None` for the first frame, and after one that was refused.
+        change: Option<Change>,
+    },
+    /// The program refuses a frame of the path.
+    FrameRefused {
+        frame: u64,
+        row: String,
+        why: String,
     },
 }
 
@@ -266,6 +305,7 @@ fn differences(found: &Identity, wanted: &Identity) -> Vec<String> {
         ("poses", names(found), names(wanted)),
         ("reference", found.reference.clone(), wanted.reference.clone()),
         ("number of settings", found.rows.len().to_string(), wanted.rows.len().to_string()),
+        ("path", path(found), path(wanted)),
     ];
     let mut differences: Vec<String> = pairs
         .into_iter()
@@ -280,6 +320,15 @@ fn differences(found: &Identity, wanted: &Identity) -> Vec<String> {
 
 fn size(identity: &Identity) -> String {
     format!("{}x{}", identity.width, identity.height)
+}
+
+fn path(identity: &Identity) -> String {
+    identity.path.as_ref().map_or("none".to_owned(), |path| {
+        let PathRecord { name, fps, from, to, cameras, rows } = path;
+        let cameras = &cameras[..cameras.len().min(8)];
+        let settings = rows.len();
+        format!("{name} at {fps} frames per second, frames {from} to {to}, cameras {cameras}…, {settings} settings")
+    })
 }
 
 /// Writes a whole file: under another name first, then renamed, so that a reader never sees a part of it.
@@ -310,6 +359,7 @@ mod tests {
             reference: "r".into(),
             poses: Vec::new(),
             rows: vec!["a".into()],
+            path: None,
         }
     }
 
@@ -374,6 +424,15 @@ mod tests {
         );
         let error = open(|wanted| wanted.adapter = "B".into());
         assert!(error.contains("adapter A (now B)"), "{error}");
+        let error = open(|wanted| {
+            let (name, cameras) = ("fly".into(), "0123456789".into());
+            wanted.path =
+                Some(PathRecord { name, fps: 30.0, from: 0, to: 9, cameras, rows: Vec::new() });
+        });
+        assert!(
+            error.contains("path none (now fly at 30 frames per second, frames 0 to 9"),
+            "{error}"
+        );
         let error = open(|wanted| wanted.tag = "u".into());
         assert!(error.contains("content of the scene"), "{error}");
         assert!(Journal::open(folder.path(), &identity(), "tuesday").is_ok());

@@ -35,7 +35,12 @@ impl fmt::Display for ExpectedSize {
     }
 }
 
-fn check<A, B>(reference: &[A], image: &[B], size: Option<(u32, u32)>) -> Result<(), SizeMismatch> {
+/// Whether both slices have the same size, or that of an image of `width · height` pixels.
+pub(super) fn check<A, B>(
+    reference: &[A],
+    image: &[B],
+    size: Option<(u32, u32)>,
+) -> Result<(), SizeMismatch> {
     let pixels = size.map_or(reference.len(), |(w, h)| w as usize * h as usize);
     if reference.len() == pixels && image.len() == pixels {
         return Ok(());

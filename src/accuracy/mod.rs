@@ -10,7 +10,8 @@
 //!                           with the  finished   (pure)     SVG, HTML (pure)
 //!                           engine    frame
 //! ```
-//! [`truth`] holds the frame that errors are measured against, [`mod@difference`] the errors of one image, and [`service`] the surveys of a daemon.
+//! [`truth`] holds the frame that errors are measured against, [`mod@difference`] the errors of one image, [`temporal`] what flickers from frame to frame
+//! of a camera path, and [`service`] the surveys of a daemon.
 //! [`cost`] compares the reports of several scenes: what one more decibel costs in each.
 //! [`planning`] measures many settings at many poses for the planner ([`crate::plan::planner`]).
 pub mod cost;
@@ -28,6 +29,7 @@ pub mod stability;
 pub mod steady;
 pub mod survey;
 pub mod sweep;
+pub mod temporal;
 pub mod truth;
 
 pub use date::date;

@@ -1,6 +1,8 @@
 //! The results of a survey: what each row costs and how far it is from the reference, at each pose and over all of them, and the Pareto
 //! fronts. Pure.
 
+mod along;
+
 use std::collections::BTreeMap;
 
 use serde::Serialize;
@@ -9,6 +11,8 @@ use super::journal::{Identity, Metrics, Record};
 use super::metrics::{Coverage, Spread, psnr_db};
 use super::sweep::{Price, Quartiles, Row, owners, pareto, price};
 use crate::plan::Given;
+
+pub use along::{Along, AlongEntry};
 
 /// Name of the scope that holds all poses.
 pub const ALL_POSES: &str = "all poses";
@@ -27,6 +31,8 @@ pub struct Results {
     pub summary: String,
     /// All poses together, if there are several, then each pose.
     pub scopes: Vec<Scope>,
+    /// How much the frames of a camera path flicker, where one was given.
+    pub along: Option<Along>,
 }
 
 /// Rows at one pose, or over all of them.
@@ -111,7 +117,8 @@ impl Results {
             scopes.insert(0, all);
         }
         let summary = scopes.first().map(summary).unwrap_or_default();
-        Results { identity, date, summary, scopes }
+        let along = identity.path.as_ref().map(|path| Along::new(path, rows, records));
+        Results { identity, date, summary, scopes, along }
     }
 }
 
@@ -325,7 +332,10 @@ fn row_at<'a>(record: &'a Record, name: &str) -> Option<&'a str> {
         Record::Image { pose, row, .. }
         | Record::Same { pose, row, .. }
         | Record::Refused { pose, row, .. } => (pose == name).then_some(row),
-        Record::Run { .. } | Record::Time { .. } => None,
+        Record::Run { .. }
+        | Record::Time { .. }
+        | Record::Frame { .. }
+        | Record::FrameRefused { .. } => None,
     }
 }
 
@@ -393,189 +403,4 @@ pub fn three_digits(value: f64) -> String {
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
-    use super::*;
-    use crate::accuracy::journal::PoseRecord;
-
-    fn metrics(mse: f64) -> Metrics {
-        let coverage = Coverage {
-            covered_reference: 10,
-            covered_image: 9,
-            holes: 2,
-            leaks: 1,
-            silhouette_iou: 0.8,
-            ..Coverage::default()
-        };
-        let spread = |max| Some(Spread { pixels: 8, max, mean: 0.2, median: 0.1, p99: 0.9 });
-        Metrics {
-            mse,
-            ssim: 0.9,
-            flip: 0.1,
-            max_error: 9,
-            coverage,
-            depth: spread(mse),
-            normal_deg: None,
-        }
-    }
-
-    fn given(number: u32) -> Box<Given> {
-        let mut given = Given::default();
-        given.set_text("edl_strength", &number.to_string()).unwrap();
-        given.set_text("reconstruct", "splats").unwrap();
-        Box::new(given)
-    }
-
-    /// Results of two poses and five rows: two on the front, one that is beaten, one that is drawn as another and one that is refused.
-    pub(crate) fn results() -> Results {
-        let row = |label: &str| Row {
-            label: label.into(),
-            family: label[..3].into(),
-            given: if label == "good way" { Given::default() } else { *given(1) },
-        };
-        let rows = ["fast way", "good way", "beaten way", "other way", "gone <way>"].map(row);
-        let mut records = Vec::new();
-        let poses = ["front", "back & side"];
-        for (number, pose) in poses.iter().enumerate() {
-            let (pose, more) = ((*pose).to_owned(), number as f64);
-            for (index, (row, mse, ms)) in [
-                ("fast way", 65.025 + more, 1.0),
-                ("good way", 6.5025, 4.0),
-                ("beaten way", 70.0, 8.0),
-            ]
-            .into_iter()
-            .enumerate()
-            {
-                let (row, metrics, drawn) =
-                    (row.to_owned(), Box::new(metrics(mse)), given(index as u32));
-                records.push(Record::Image {
-                    pose: pose.clone(),
-                    row: row.clone(),
-                    metrics,
-                    drawn,
-                    notes: vec![],
-                });
-                for repeat in 0..3 {
-                    let gpu_ms = ms * (1.0 + 0.1 * f64::from(repeat)) + more;
-                    records.push(Record::Time {
-                        pose: pose.clone(),
-                        row: row.clone(),
-                        repeat,
-                        gpu_ms,
-                    });
-                }
-            }
-            let notes = vec![format!("reason {number}")];
-            records.push(Record::Same {
-                pose: pose.clone(),
-                row: "other way".into(),
-                same_as: "good way".into(),
-                notes,
-            });
-            records.push(Record::Refused {
-                pose,
-                row: "gone <way>".into(),
-                why: "too large".into(),
-            });
-        }
-        let pose = |(number, name): (usize, &str)| PoseRecord {
-            name: name.into(),
-            folder: format!("{}-pose", number + 1),
-            eye: [0.0; 3],
-            target: [0.0; 3],
-            up: [0.0; 3],
-            fov_deg: Some(40.0),
-            ortho_height: None,
-        };
-        let identity = Identity {
-            version: "1".into(),
-            adapter: "A".into(),
-            scene: "scene.json".into(),
-            tag: "t".into(),
-            width: 4,
-            height: 3,
-            repeats: 3,
-            seed: 1,
-            reference: "the reference".into(),
-            poses: poses.into_iter().enumerate().map(pose).collect(),
-            rows: rows.iter().map(|row| row.label.clone()).collect(),
-        };
-        Results::new(identity, "2026-01-02".into(), &rows, &records)
-    }
-
-    #[test]
-    fn fronts_and_prices_are_computed_for_each_pose_and_for_all() {
-        let results = results();
-        let names: Vec<&str> = results.scopes.iter().map(|scope| scope.name.as_str()).collect();
-        assert_eq!(names, [ALL_POSES, "front", "back & side"]);
-        let front = &results.scopes[1];
-        assert_eq!(front.fronts["psnr"], ["fast way", "good way"]);
-        assert_eq!(front.default.as_deref(), Some("good way"));
-        let price = front.price.unwrap();
-        assert!((price.from_db - 30.0).abs() < 1e-9 && (price.to_db - 40.0).abs() < 1e-9);
-        assert!(
-            (price.times - 4.0).abs() < 1e-9
-                && (price.times_per_db.unwrap() - 4f64.powf(0.1)).abs() < 1e-9
-        );
-        assert_eq!(front.plotted().count(), 3);
-        let other = front.entry("other way").unwrap();
-        assert_eq!(other.same_as.as_deref(), Some("good way"));
-        assert_eq!(other.notes, ["reason 0"]);
-        assert_eq!(other.gpu_ms, front.entry("good way").unwrap().gpu_ms);
-        assert_eq!(front.refused, [("gone <way>".to_owned(), "too large".to_owned())]);
-        let all = &results.scopes[0];
-        let fast = all.entry("fast way").unwrap();
-        assert!((fast.metrics.mse - 65.525).abs() < 1e-9);
-        assert!((fast.gpu_ms.unwrap().median - 1.6).abs() < 1e-9);
-        assert_eq!(fast.metrics.coverage.holes, 4);
-        assert!((fast.metrics.coverage.silhouette_iou - 16.0 / 22.0).abs() < 1e-12);
-        assert!((fast.metrics.depth.unwrap().max - 66.025).abs() < 1e-9);
-    }
-
-    #[test]
-    fn the_summary_says_what_a_decibel_costs() {
-        let results = results();
-        assert!(
-            results.summary.starts_with("From 30.0 dB to 40.0 dB costs 3.06× the time"),
-            "{}",
-            results.summary
-        );
-        assert!(results.summary.contains("fast way (1.60 ms, 30.0 dB)"), "{}", results.summary);
-        let one = Scope::new("p", None, &[], vec![results.scopes[1].entries[0].clone()]);
-        let text = summary(&one);
-        assert!(text.contains("the fastest is fast way") && text.contains("No slower"), "{text}");
-        // A frame that equals the reference has no decibels.
-        let mut entries = results.scopes[1].entries.clone();
-        let exact = entries.iter_mut().find(|entry| entry.row == "good way").unwrap();
-        (exact.psnr_db, exact.metrics.mse) = (None, 0.0);
-        let text = summary(&Scope::new("p", None, &[], entries));
-        assert!(text.contains("good way equals the reference and takes"), "{text}");
-        assert!(!text.contains("inf"), "{text}");
-        assert!(summary(&Scope::new("p", None, &[], Vec::new())).starts_with("No setting"));
-    }
-
-    #[test]
-    fn a_drawing_that_turns_out_to_be_another_rows_is_not_plotted() {
-        let row =
-            |label: &str| Row { label: label.into(), family: "a".into(), given: Given::default() };
-        let image = |row: &str| Record::Image {
-            pose: "p".into(),
-            row: row.into(),
-            metrics: Box::new(metrics(1.0)),
-            drawn: given(1),
-            notes: vec![],
-        };
-        let scope = Scope::of_pose("p", "1-p", &["a", "b"].map(row), &[image("a"), image("b")]);
-        assert_eq!(scope.entries[1].same_as.as_deref(), Some("a"));
-        // Both rows give nothing, so the first of them is the default.
-        assert_eq!(scope.default.as_deref(), Some("a"));
-    }
-
-    #[test]
-    fn numbers_have_three_digits() {
-        assert_eq!(
-            [0.01234, 1.2345, 12.345, 123.45, 1234.5].map(three_digits),
-            ["0.0123", "1.23", "12.3", "123", "1234"]
-        );
-        assert_eq!(three_digits(f64::NAN), "–");
-    }
-}
+pub(crate) mod tests;

@@ -10,6 +10,7 @@ use glam::{DQuat, DVec3};
 use serde::Serialize;
 
 use super::sweep::Row;
+use super::temporal::SEEN;
 use crate::encode::ImageFormat;
 use crate::engine::{Engine, EngineError, FrameRequest, FrameTicket, Pose, SceneInfo};
 use crate::math::{Camera, Lens};
@@ -20,8 +21,6 @@ use crate::scene::random::SplitMix64;
 pub const SIZE: [u32; 2] = [96, 72];
 /// The step between a pose and its neighbour, in pixels.
 const STEP_PX: f64 = 1e-3;
-/// A pixel changes where a channel differs by more than this, of 255.
-const CHANGE: u8 = 32;
 /// Pixels that may change: those across whose middle the step moves an outline, or a sample of one pixel across their edge. With a sample in every pixel, some
 /// 2.8 thousandths of them do, since a sample leaves one pixel and enters another; more where rows of samples lie along rows of pixels.
 const MOST_CHANGED: usize = (SIZE[0] * SIZE[1]) as usize / 100;
@@ -205,12 +204,11 @@ impl Steadiness {
     }
 }
 
-/// Pixels of two images, four bytes each, that differ.
+/// Pixels of two images, four bytes each, that differ visibly: a channel by more than [`SEEN`].
 fn changed(a: &[u8], b: &[u8]) -> usize {
     let (a, b) = (a.as_chunks::<4>().0, b.as_chunks::<4>().0);
-    let differ = |(a, b): &(&[u8; 4], &[u8; 4])| {
-        a.iter().zip(b.iter()).any(|(a, b)| a.abs_diff(*b) > CHANGE)
-    };
+    let differ =
+        |(a, b): &(&[u8; 4], &[u8; 4])| a.iter().zip(b.iter()).any(|(a, b)| a.abs_diff(*b) > SEEN);
     a.iter().zip(b).filter(differ).count()
 }
 
@@ -271,7 +269,7 @@ mod tests {
         let a = [10u8, 20, 30, 255, 0, 0, 0, 255, 100, 100, 100, 255];
         let mut b = a;
         assert_eq!(changed(&a, &b), 0);
-        b[1] += CHANGE;
+        b[1] += SEEN;
         assert_eq!(changed(&a, &b), 0);
         b[1] += 1;
         b[11] = 0;
@@ -293,7 +291,7 @@ mod tests {
         let judge = |odd: f32, jumps: usize| {
             let first = vec![9; 4 * pixels];
             let mut second = first.clone();
-            second[..4 * jumps].fill(9 + CHANGE + 1);
+            second[..4 * jumps].fill(9 + SEEN + 1);
             let depth: Vec<u8> = bytes(depths(odd));
             let mut found = Steadiness { bound: MOST_CHANGED, ..Steadiness::default() };
             found.add("splats", [&camera, &camera], [&first, &second, &depth]);

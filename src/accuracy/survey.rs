@@ -7,8 +7,11 @@
 //!
 //! Rows whose frames the program draws alike are drawn once; the others name that row and the receipt's reason.
 //!
+//! Frames of a camera path are compared with those before them ([`Survey::run_along`]).
+//!
 //! A survey without a folder keeps no frames, and draws the reference of a pose anew when it is needed.
 
+mod along;
 mod known;
 
 use std::collections::HashSet;
@@ -16,6 +19,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
+
+pub use self::along::{MOST_FRAMES, Path as AlongPath};
 
 use self::known::Known;
 use super::difference::{Difference, Shot};
@@ -222,6 +227,7 @@ impl Survey<'_> {
             reference,
             poses: self.poses.iter().map(NamedPose::record).collect(),
             rows: self.rows.iter().map(|row| row.label.clone()).collect(),
+            path: None,
         })
     }
 
@@ -238,7 +244,7 @@ impl Survey<'_> {
             self.complete(Settings::exact()),
             Output::Color,
         );
-        let rows = self.rows.iter().map(|row| self.row_request(first, row));
+        let rows = self.rows.iter().map(|row| self.row_request(first.camera, row));
         // A row that is refused needs nothing.
         rows.chain([exact]).filter(|request| self.engine.must_bake(request)).collect()
     }
@@ -312,25 +318,18 @@ impl Survey<'_> {
         ))
     }
 
-    /// Draws the reference of a pose.
+    /// Draws the reference from a camera.
     ///
     /// # Errors
     /// The engine fails, or the size is beyond a limit.
-    pub fn truth(&self, pose: &NamedPose) -> Result<Truth, SurveyError> {
+    pub fn truth(&self, camera: Camera) -> Result<Truth, SurveyError> {
         let [width, height] = self.size;
         if let Some(oracle) = self.oracle {
-            let view = pose.camera.view(width, height)?;
+            let view = camera.view(width, height)?;
             let splats = oracle.description().splats;
             return Ok(Truth::of_oracle(&oracle.frame_with(&view, PARTS, Some(&splats))));
         }
-        let finer = self.finer()?;
-        let own = self.request(
-            Pose::Camera(pose.camera),
-            self.complete(Settings::exact()),
-            Output::Color,
-        );
-        let decided = *self.engine.resolve_blocking(own.clone())?.settings();
-        let decided = self.complete(decided);
+        let (finer, own, decided) = self.reference_request(camera)?;
         let draw =
             |output, transparent| self.draw(finer.request(&own, &decided, output, transparent));
         let color = quads(&draw(Output::Color, false)?.bytes);
@@ -344,6 +343,17 @@ impl Survey<'_> {
         Ok(Truth::of_wide(width, height, PARTS, &wide))
     }
 
+    /// What the reference from a camera is made of: its size, a frame at full detail, and the settings that this frame resolves to.
+    fn reference_request(
+        &self,
+        camera: Camera,
+    ) -> Result<(Finer, FrameRequest, Settings), SurveyError> {
+        let settings = self.complete(Settings::exact());
+        let own = self.request(Pose::Camera(camera), settings, Output::Color);
+        let decided = *self.engine.resolve_blocking(own.clone())?.settings();
+        Ok((self.finer()?, own, self.complete(decided)))
+    }
+
     /// The reference of a pose, from the folder if it is there. `key` is that of the survey.
     fn kept_truth(&self, pose: &NamedPose, key: u64) -> Result<Truth, SurveyError> {
         let png = self.file(pose, REFERENCE, "");
@@ -354,7 +364,7 @@ impl Survey<'_> {
         {
             return Ok(truth);
         }
-        let truth = self.truth(pose)?;
+        let truth = self.truth(pose.camera)?;
         if truth.covered_pixels() == 0 {
             return Err(SurveyError::Blank(pose.name.clone()));
         }
@@ -423,7 +433,7 @@ impl Survey<'_> {
                     truth => Some(truth?),
                 };
             }
-            let (drawn, owners) = self.owners(pose);
+            let (drawn, owners) = self.owners(pose.camera, &self.rows);
             for (row_number, row) in self.rows.iter().enumerate() {
                 self.check_stop()?;
                 done += 1;
@@ -438,7 +448,7 @@ impl Survey<'_> {
                 let record = match (&drawn[row_number], owners[row_number]) {
                     (Err(why), _) => Record::Refused { pose: name, row: label, why: why.clone() },
                     (Ok(_), Some(owner)) if owner != row_number => {
-                        let notes = notes(&self.draw(self.row_request(pose, row))?.receipt);
+                        let notes = notes(&self.draw(self.row_request(pose.camera, row))?.receipt);
                         let same_as = self.rows[owner].label.clone();
                         Record::Same { pose: name, row: label, same_as, notes }
                     }
@@ -467,9 +477,9 @@ impl Survey<'_> {
             }
             tell(Event { done, total, what: &format!("timing {}, {}", pose.name, row.label) });
             if warm.insert((draw.pose, draw.row)) {
-                self.draw(self.row_request(pose, row))?;
+                self.draw(self.row_request(pose.camera, row))?;
             }
-            let receipt = self.draw(self.row_request(pose, row))?.receipt.clone();
+            let receipt = self.draw(self.row_request(pose.camera, row))?.receipt.clone();
             let ns = receipt.gpu_share_ns();
             let gpu_ms = ns.ok_or(SurveyError::NoTimestamps(receipt.adapter))? as f64 / 1e6;
             let (pose, row) = (pose.name.clone(), row.label.clone());
@@ -478,36 +488,40 @@ impl Survey<'_> {
         Ok(())
     }
 
-    /// What each row is drawn with at a pose, or why it is refused, and the row that stands for all that are drawn alike.
-    fn owners(&self, pose: &NamedPose) -> (Vec<Result<Given, String>>, Vec<Option<usize>>) {
-        let drawn: Vec<Result<Given, String>> = self
-            .rows
+    /// What each row is drawn with from a camera, or why it is refused, and the row that stands for all that are drawn alike.
+    fn owners(
+        &self,
+        camera: Camera,
+        rows: &[Row],
+    ) -> (Vec<Result<Given, String>>, Vec<Option<usize>>) {
+        let drawn: Vec<Result<Given, String>> = rows
             .iter()
-            .map(|row| match self.engine.resolve_blocking(self.row_request(pose, row)) {
+            .map(|row| match self.engine.resolve_blocking(self.row_request(camera, row)) {
                 Ok(frame) => Ok(frame.settings().applied()),
                 Err(error) => Err(error.to_string()),
             })
             .collect();
-        let pairs: Vec<_> = self
-            .rows
-            .iter()
-            .zip(&drawn)
-            .map(|(row, drawn)| (&row.given, drawn.as_ref().ok()))
-            .collect();
+        let pairs: Vec<_> =
+            rows.iter().zip(&drawn).map(|(row, drawn)| (&row.given, drawn.as_ref().ok())).collect();
         let owners = owners(&pairs);
         (drawn, owners)
     }
 
-    fn row_request(&self, pose: &NamedPose, row: &Row) -> FrameRequest {
+    fn row_request(&self, camera: Camera, row: &Row) -> FrameRequest {
         let settings = self.complete(Settings::from(row.given));
-        self.request(Pose::Camera(pose.camera), settings, Output::Color)
+        self.request(Pose::Camera(camera), settings, Output::Color)
+    }
+
+    /// Opaque pixels of a drawn frame.
+    fn pixels(&self, frame: &EncodedFrame) -> Vec<[u8; 4]> {
+        quads(&frame.bytes).into_iter().map(opaque).collect()
     }
 
     /// Draws all outputs of a row, compares them with the reference, and writes the frame and its FLIP map.
     fn compare(&self, pose: &NamedPose, row: &Row, truth: &Truth) -> Result<Record, SurveyError> {
-        let request = self.row_request(pose, row);
+        let request = self.row_request(pose.camera, row);
         let frame = self.draw(request.clone())?;
-        let color: Vec<[u8; 4]> = quads(&frame.bytes).into_iter().map(opaque).collect();
+        let color = self.pixels(&frame);
         let settings = request.settings.finer(1, true);
         let seen = self.draw(FrameRequest { settings, ..request.clone() })?;
         let covered: Vec<bool> = quads(&seen.bytes).into_iter().map(is_covered).collect();

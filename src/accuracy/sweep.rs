@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::plan::{Extent, Given, Settings, trade_offs};
+use crate::plan::{Extent, Given, Lod, Settings, trade_offs};
 use crate::scene::random::SplitMix64;
 
 /// A combination of settings that a survey measures.
@@ -19,6 +19,12 @@ impl Row {
     /// Whether the row is what the program draws when nothing is chosen.
     pub fn is_default(&self) -> bool {
         Settings::from(self.given) == Settings::default()
+    }
+
+    /// Whether the row draws full detail without antialiasing, and nothing else.
+    pub fn is_plain_full(&self) -> bool {
+        let settings = Settings::from(self.given);
+        settings.lod == Lod::Full && settings.parts() == 1
     }
 
     /// Name as a part of file names: letters, digits and single hyphens.
@@ -42,6 +48,16 @@ pub fn rows(extent: Extent) -> Vec<Row> {
         given: found.given,
     };
     trade_offs(extent).into_iter().map(row).collect()
+}
+
+/// Rows of a survey that are compared along a camera path: the main settings, and the variants that matter most.
+pub fn main_rows(extent: Extent) -> Vec<Row> {
+    let mut found = rows(Extent::Few);
+    if extent == Extent::All {
+        let more = rows(Extent::Planned).into_iter().filter(|row| !found.contains(row));
+        found.extend(more.collect::<Vec<_>>());
+    }
+    found
 }
 
 /// For each row, given as what it asks for and what it is drawn with, the row that stands for all rows that are drawn alike: the first one
@@ -236,5 +252,21 @@ mod tests {
         assert!(slugs.contains("splats-spt-0-25-px"), "{slugs:?}");
         assert_eq!(rows.iter().filter(|row| row.is_default()).count(), 1);
         assert_eq!(slug("a/../b  c"), "a-b-c");
+    }
+
+    #[test]
+    fn rows_of_a_path_are_those_of_the_survey_and_have_one_full_detail_each() {
+        for (extent, error) in [(Extent::Few, "splats spt 1 px"), (Extent::All, "splats spt 4 px")]
+        {
+            let (own, all) = (main_rows(extent), rows(extent));
+            assert!(own.iter().all(|row| all.contains(row)), "{extent:?}");
+            assert!(own.iter().any(|row| row.label == error), "{extent:?}");
+            assert!(own.iter().any(Row::is_default), "{extent:?}");
+            let families: BTreeSet<&str> = own.iter().map(|row| row.family.as_str()).collect();
+            for family in families {
+                let plain = own.iter().filter(|row| row.family == family && row.is_plain_full());
+                assert_eq!(plain.count(), 1, "{family}");
+            }
+        }
     }
 }

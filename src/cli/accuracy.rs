@@ -13,18 +13,19 @@ use super::cache::CacheArgs;
 use super::frame::size;
 use super::local::{ID, LimitArgs, SceneArgs, SceneFile, progress_bar};
 use super::out::{self, say};
-use super::path::{LINE_EVERY, bake, stop_when_told};
+use super::path::{LINE_EVERY, bake, shots, stop_when_told};
 use crate::accuracy::cost::{Costs, Curve};
-use crate::accuracy::journal::Journal;
+use crate::accuracy::journal::{Identity, Journal};
 use crate::accuracy::planning::{self, Planning};
 use crate::accuracy::reference::Reference;
 use crate::accuracy::results::Results;
 use crate::accuracy::stability::{Stability, stability};
 use crate::accuracy::steady::{self, Steadiness, Sweep};
-use crate::accuracy::survey::{Event, Purpose, Survey, SurveyError};
+use crate::accuracy::survey::{AlongPath, Event, MOST_FRAMES, Purpose, Survey, SurveyError};
 use crate::accuracy::{date, report, sweep};
 use crate::assets::ReadOptions;
 use crate::engine::{Client, Engine, Pose, SceneInfo};
+use crate::film::shots::Shots;
 use crate::plan::Extent;
 use crate::scene::SceneLimits;
 
@@ -43,7 +44,7 @@ pub struct AccuracyArgs {
     stability: bool,
     /// Measure the scene for the planner, which chooses settings for --budget-ms and --min-psnr-db; the measurements are kept beside the point
     /// trees once all are made
-    #[arg(long, conflicts_with_all = ["stability", "out", "camera", "repeats", "quick", "oracle"])]
+    #[arg(long, conflicts_with_all = ["stability", "out", "camera", "path", "repeats", "quick", "oracle"])]
     planner: bool,
     /// Say what one more decibel costs in several scenes: one plot and one table of the reports in these folders
     #[arg(
@@ -51,7 +52,7 @@ pub struct AccuracyArgs {
         value_name = "REPORT",
         num_args = 1..,
         requires = "out",
-        conflicts_with_all = ["stability", "planner", "camera", "size", "repeats", "quick", "oracle"]
+        conflicts_with_all = ["stability", "planner", "camera", "path", "size", "repeats", "quick", "oracle"]
     )]
     combine: Vec<PathBuf>,
     /// Folder for the report, created if missing: index.html, accuracy.json, .md and .svg, and frames; with --stability
@@ -61,6 +62,18 @@ pub struct AccuracyArgs {
     /// Name of a camera in the scene; may be repeated [default: the first five, or five views around the scene if it has none]
     #[arg(long, value_name = "NAME", conflicts_with = "stability")]
     camera: Vec<String>,
+    /// Name of a path in the scene, or a path file (.json): consecutive frames are compared as well, and the report tells how much they flicker
+    #[arg(long, value_name = "NAME_OR_FILE", conflicts_with = "stability")]
+    path: Option<String>,
+    /// Frames per second of the path [default: the path's own]
+    #[arg(long, value_name = "N", requires = "path")]
+    fps: Option<f64>,
+    /// Number of the path's first frame to compare [default: 0]
+    #[arg(long, value_name = "FRAME", requires = "path")]
+    from: Option<u64>,
+    /// Number of the path's last frame to compare [default: 48 frames are compared; with --quick 12]
+    #[arg(long, value_name = "FRAME", requires = "path")]
+    to: Option<u64>,
     /// Width and height of the frames in pixels [default: 640x360; with --quick 240x135]
     #[arg(long, value_name = "WxH", value_parser = size, conflicts_with = "stability")]
     size: Option<(u32, u32)>,
@@ -192,6 +205,8 @@ fn survey(args: &AccuracyArgs, scene: &Path) -> Result<()> {
         true => Some(oracle(args, scene)?),
         false => None,
     };
+    let extent = if args.quick { Extent::Few } else { Extent::All };
+    let shots = args.path.as_deref().map(|name| along(args, &engine, &info, name)).transpose()?;
     let (width, height) = args.size.unwrap_or(if args.quick { (240, 135) } else { (640, 360) });
     // Signals end the program until there are measurements to report.
     let never = AtomicBool::new(false);
@@ -200,7 +215,7 @@ fn survey(args: &AccuracyArgs, scene: &Path) -> Result<()> {
         client: Client::Unnamed,
         scene: ID,
         poses: Vec::new(),
-        rows: sweep::rows(if args.quick { Extent::Few } else { Extent::All }),
+        rows: sweep::rows(extent),
         size: [width, height],
         repeats: args.repeats.unwrap_or(if args.quick { 3 } else { 5 }),
         seed: args.seed,
@@ -229,7 +244,13 @@ fn survey(args: &AccuracyArgs, scene: &Path) -> Result<()> {
         say!("warning: nothing of the scene is seen from {name}; it is left out");
     }
     let name = scene.file_name().unwrap_or(scene.as_os_str()).to_string_lossy();
-    let identity = survey.identity(&name)?;
+    let path = args.path.as_deref().zip(shots.as_ref());
+    let path = path.map(|(name, shots)| {
+        let name = Path::new(name).file_name().and_then(|name| name.to_str()).unwrap_or(name);
+        AlongPath { name, shots, rows: sweep::main_rows(extent) }
+    });
+    let record = path.as_ref().map(AlongPath::record);
+    let identity = Identity { path: record, ..survey.identity(&name)? };
     let mut journal = Journal::open(folder, &identity, &date(SystemTime::now()))?;
     for request in survey.requests() {
         bake(&engine, &request)?;
@@ -239,8 +260,16 @@ fn survey(args: &AccuracyArgs, scene: &Path) -> Result<()> {
     let mut telling = Telling::new();
     let is_complete = survey.run(&mut journal, |event| telling.hear(&event));
     telling.bar.finish_and_clear();
-    let is_complete = is_complete?;
-    if is_complete && telling.steps == 0 {
+    let mut is_complete = is_complete?;
+    let mut steps = telling.steps;
+    if let Some(path) = path.as_ref().filter(|_| is_complete) {
+        let mut telling = Telling::new();
+        let ended = survey.run_along(path, &mut journal, |event| telling.hear(&event));
+        telling.bar.finish_and_clear();
+        is_complete = ended?;
+        steps += telling.steps;
+    }
+    if is_complete && steps == 0 {
         say!("nothing to draw: all measurements are there already");
     }
     let results = Results::new(identity, journal.date.clone(), &survey.rows, &journal.records);
@@ -254,10 +283,31 @@ fn survey(args: &AccuracyArgs, scene: &Path) -> Result<()> {
     if args.json {
         out::print(&(serde_json::to_string_pretty(&results)? + "\n"))?;
     } else {
-        out::print(&format!("{}\n", results.summary))?;
+        let along =
+            results.along.as_ref().map_or(String::new(), |along| format!("{}\n", along.summary));
+        out::print(&format!("{}\n{along}", results.summary))?;
     }
     say!("{}: the report, with the plot, all figures and the frames", page.display());
     Ok(())
+}
+
+/// Frames of a path that are compared, unless the arguments say which.
+const FRAMES: u64 = 48;
+const QUICK_FRAMES: u64 = 12;
+
+/// The frames of a path that are compared.
+fn along(args: &AccuracyArgs, engine: &Engine, info: &SceneInfo, name: &str) -> Result<Shots> {
+    let found = shots(engine, info, name, args.fps, args.from, args.to)?;
+    let count = if args.quick { QUICK_FRAMES } else { FRAMES };
+    let found = if args.to.is_none() { found.first(count) } else { found };
+    let count = found.wanted().count() as u64;
+    if !(2..=MOST_FRAMES).contains(&count) {
+        let (first, last) = found.wanted().into_inner();
+        bail!(
+            "--path {name}: frames {first} to {last} are {count}; 2 to {MOST_FRAMES} can be compared, chosen with --fps, --from and --to"
+        );
+    }
+    Ok(found)
 }
 
 /// The scene as the oracle draws it.

@@ -72,11 +72,7 @@ pub fn run(args: PathArgs) -> anyhow::Result<()> {
         say!("warning: {warning}");
     }
     let mark = engine.scene_mark(ID).context("the scene is gone")?;
-    let path = find(&engine, &info, &args.path)?;
-    let shots = Shots::new(&path, args.fps, args.from, args.to).map_err(|error| match error {
-        FilmError::BadRange { parameter, reason } => anyhow::anyhow!("--{parameter}: {reason}"),
-        other => anyhow::anyhow!("--path {}: {other}", args.path),
-    })?;
+    let shots = shots(&engine, &info, &args.path, args.fps, args.from, args.to)?;
     let reel = Reel::new(&request, &shots, args.bitrate_kbps);
     if let Some(video) = &target.video {
         reel.check(&video.coder).map_err(named)?;
@@ -222,6 +218,25 @@ fn remove_frames(folder: &Path) -> anyhow::Result<()> {
     // The folder stays if it has other files.
     let _ = std::fs::remove_dir(folder);
     Ok(())
+}
+
+/// The frames of the scene's path of this name, or else of the path in the file of this name.
+///
+/// # Errors
+/// There is no such path, or it does not have these frames; the error names the option.
+pub(super) fn shots(
+    engine: &Engine,
+    info: &SceneInfo,
+    name: &str,
+    fps: Option<f64>,
+    from: Option<u64>,
+    to: Option<u64>,
+) -> anyhow::Result<Shots> {
+    let path = find(engine, info, name)?;
+    Shots::new(&path, fps, from, to).map_err(|error| match error {
+        FilmError::BadRange { parameter, reason } => anyhow::anyhow!("--{parameter}: {reason}"),
+        other => anyhow::anyhow!("--path {name}: {other}"),
+    })
 }
 
 /// The scene's path of this name, or else the path in the file of this name.

@@ -72,6 +72,13 @@ impl Shots {
         Ok(Shots { fps, start_s: path.frame_time_s(0, fps), sampler, count, wanted: from..=to })
     }
 
+    /// The shots with the first `count` wanted frames alone.
+    #[must_use]
+    pub fn first(self, count: u64) -> Shots {
+        let (first, last) = self.wanted.clone().into_inner();
+        Shots { wanted: first..=last.min(first + count.saturating_sub(1)), ..self }
+    }
+
     pub fn fps(&self) -> f64 {
         self.fps
     }
@@ -138,6 +145,8 @@ mod tests {
         let part = Shots::new(&path(), Some(5.0), Some(3), Some(4)).unwrap();
         assert_eq!((part.count(), part.wanted(), part.fps()), (11, 3..=4, 5.0));
         assert_eq!(part.shot(5), Shot { number: 5, ..shots.shot(10) });
+        assert_eq!(part.first(9).wanted(), 3..=4);
+        assert_eq!(shots.first(9).wanted(), 0..=8);
     }
 
     #[test]

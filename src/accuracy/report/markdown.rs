@@ -2,8 +2,8 @@
 
 use std::fmt::Write;
 
-use crate::accuracy::journal::Identity;
-use crate::accuracy::results::{Entry, Results, Scope, three_digits};
+use crate::accuracy::journal::{Identity, PathRecord};
+use crate::accuracy::results::{Along, Entry, Results, Scope, three_digits};
 
 // Writing to a string cannot fail, so results of `write!` are dropped below.
 
@@ -45,7 +45,50 @@ pub fn markdown(results: &Results) -> String {
         }
         others(&mut out, scope);
     }
+    if let Some((path, along)) = results.identity.path.as_ref().zip(results.along.as_ref()) {
+        flicker(&mut out, path, along);
+    }
     out
+}
+
+/// What was found along a path.
+fn flicker(out: &mut String, path: &PathRecord, along: &Along) {
+    let _ = writeln!(out, "\n## Along {}\n\n{}\n", cell(&path.name), cell(&along.summary));
+    *out += "Flicker energy is the mean squared difference of the errors of two consecutive frames. The next column divides it by that of the same way to draw \
+        samples at full detail without antialiasing. A pop is a connected area of pixels that changes by more than 32 of 255 beyond the change of the \
+        reference; the number of pops counts areas of at least four pixels.\n\n\
+        | setting | frames | PSNR, dB | flicker energy | × full detail | largest pop, px | in frame | pops |\n|---|---|---|---|---|---|---|---|\n";
+    let rows = |same: bool| along.entries.iter().filter(move |row| row.same_as.is_some() == same);
+    for entry in rows(false) {
+        let _ = writeln!(
+            out,
+            "| {}{} | {} | {} | {} | {} | {} | {} | {} |",
+            cell(&entry.row),
+            if along.default.as_ref() == Some(&entry.row) { " (default)" } else { "" },
+            entry.frames,
+            entry.psnr_db.map_or("equal".to_owned(), |psnr| format!("{psnr:.2}")),
+            three_digits(entry.flicker),
+            entry.flicker_times.map_or("–".to_owned(), three_digits),
+            entry.pop_px,
+            entry.pop_frame.map_or("–".to_owned(), |frame| frame.to_string()),
+            entry.pops,
+        );
+    }
+    let mut same = rows(true).peekable();
+    if same.peek().is_some() {
+        *out += "\nDrawn as another row in all frames:\n\n| setting | drawn as |\n|---|---|\n";
+    }
+    for entry in same {
+        let is_default = along.default.as_ref() == Some(&entry.row);
+        let row = if is_default { format!("{} (default)", entry.row) } else { entry.row.clone() };
+        let _ = writeln!(
+            out,
+            "| {} | {} |",
+            cell(&row),
+            cell(entry.same_as.as_deref().unwrap_or_default())
+        );
+    }
+    refused(out, &along.refused);
 }
 
 fn ms(entry: &Entry) -> f64 {
@@ -127,11 +170,16 @@ fn others(out: &mut String, scope: &Scope) {
             );
         }
     }
-    if !scope.refused.is_empty() {
-        *out += "\nRefused by the program:\n\n| setting | reason |\n|---|---|\n";
-        for (row, why) in &scope.refused {
-            let _ = writeln!(out, "| {} | {} |", cell(row), cell(why));
-        }
+    refused(out, &scope.refused);
+}
+
+fn refused(out: &mut String, rows: &[(String, String)]) {
+    if rows.is_empty() {
+        return;
+    }
+    *out += "\nRefused by the program:\n\n| setting | reason |\n|---|---|\n";
+    for (row, why) in rows {
+        let _ = writeln!(out, "| {} | {} |", cell(row), cell(why));
     }
 }
 
@@ -153,6 +201,11 @@ mod tests {
             "| other way | good way | reason 0 |",
             "| gone &lt;way> | too large |",
             "| 29.97 dB | 40.00 dB | × 3.06 | × 1.12 |",
+            "## Along fly \\[1]",
+            "| good way (default) | 2 | 38.13 | 4.00 | 1.00 | 0 | – | 0 |",
+            "| beaten way | 2 | 38.13 | 8.00 | 1.00 | 7 | 4 | 1 |",
+            "| other way | good way |",
+            "| gone &lt;way> | frame 3: too large |",
         ] {
             assert!(text.contains(expected), "{expected} in\n{text}");
         }

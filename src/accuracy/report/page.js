@@ -4,7 +4,7 @@ const { results, images } = JSON.parse(document.getElementById('data').textConte
 const $ = (id) => document.getElementById(id);
 const poses = results.scopes.filter((scope) => scope.folder);
 const families = familiesOf(results);
-const state = { scope: results.scopes[0], measure: 'psnr', row: null, pose: poses[0], sort: { column: 2, down: false }, view: 'wipe' };
+const state = { scope: results.scopes[0], measure: 'psnr', row: null, pose: poses[0], sort: { column: 2, down: false }, alongSort: { column: 3, down: false }, view: 'wipe' };
 
 function element(name, attributes = {}, ...children) {
   const made = document.createElement(name);
@@ -70,7 +70,7 @@ function wipe() {
   document.querySelector('#stage .edge').style.left = `${share}%`;
 }
 
-// The table.
+// The tables. A column: its name, whether it is text, the value by which it sorts, and what a cell shows.
 
 const COLUMNS = [
   { name: '', text: true, value: (row) => (front().includes(row.row) ? 0 : 1), cell: (row) => (front().includes(row.row) ? '●' : '') },
@@ -88,34 +88,74 @@ const COLUMNS = [
   { name: 'normal error, median', value: (row) => row.normal_deg?.median ?? Infinity, cell: (row) => (row.normal_deg ? `${row.normal_deg.median.toFixed(2)}°` : '–') },
 ];
 
-function drawTable() {
-  const { column, down } = state.sort;
-  const heads = COLUMNS.map((col, number) => {
+const ALONG_COLUMNS = [
+  { name: 'setting', text: true, value: (row) => row.row, cell: (row) => (row.row === results.along.default ? `${row.row} (default)` : row.row) },
+  { name: 'frames', value: (row) => row.frames, cell: (row) => String(row.frames) },
+  { name: 'PSNR, dB', value: (row) => row.psnr_db ?? Infinity, cell: (row) => digits(row.psnr_db ?? Infinity, 2) },
+  { name: 'flicker energy', value: (row) => row.flicker, cell: (row) => short(row.flicker) },
+  { name: '× full detail', value: (row) => row.flicker_times ?? Infinity, cell: (row) => short(row.flicker_times) },
+  { name: 'largest pop, px', value: (row) => row.pop_px, cell: (row) => String(row.pop_px) },
+  { name: 'in frame', value: (row) => row.pop_frame ?? Infinity, cell: (row) => String(row.pop_frame ?? '–') },
+  { name: 'pops', value: (row) => row.pops, cell: (row) => String(row.pops) },
+];
+
+// Headings that sort, and the comparison of two rows. sort: {column, down}, which a click replaces before redraw().
+function sorting(columns, sort, redraw) {
+  const heads = columns.map((col, number) => {
     const head = element('th', { scope: 'col', class: col.text ? 'text' : '' }, col.name || '●');
-    if (number === column) head.setAttribute('aria-sort', down ? 'descending' : 'ascending');
+    if (number === sort.column) head.setAttribute('aria-sort', sort.down ? 'descending' : 'ascending');
     head.addEventListener('click', () => {
-      state.sort = { column: number, down: number === column ? !down : false };
-      drawTable();
+      Object.assign(sort, { column: number, down: number === sort.column ? !sort.down : false });
+      redraw();
     });
     return head;
   });
-  document.querySelector('#table thead').replaceChildren(element('tr', {}, element('th', {}, ''), ...heads));
   const order = (a, b) => {
-    const [p, q] = [a, b].map(COLUMNS[column].value);
-    return (down ? -1 : 1) * (typeof p === 'string' ? p.localeCompare(q) : p - q || 0);
+    const [p, q] = [a, b].map(columns[sort.column].value);
+    return (sort.down ? -1 : 1) * (typeof p === 'string' ? p.localeCompare(q) : p - q || 0);
   };
+  return { heads, order };
+}
+
+const cellsOf = (columns, row) => columns.map((col) => element('td', { class: col.text ? 'text' : '' }, col.cell(row)));
+
+// A row of a table, which a click chooses.
+function choosable(name, ...cells) {
+  const made = element('tr', { class: name === state.row ? 'chosen' : '' }, ...cells);
+  made.addEventListener('click', () => choose(name));
+  return made;
+}
+
+function drawTable() {
+  const { heads, order } = sorting(COLUMNS, state.sort, drawTable);
+  document.querySelector('#table thead').replaceChildren(element('tr', {}, element('th', {}, ''), ...heads));
   const rows = plotted().sort(order).map((row) => {
     const uri = images.frames[state.pose.folder]?.[row.slug];
     const thumb = uri ? element('img', { src: uri, alt: '', loading: 'lazy' }) : '';
-    const cells = COLUMNS.map((col) => element('td', { class: col.text ? 'text' : '' }, col.cell(row)));
-    const made = element('tr', { class: row.row === state.row ? 'chosen' : '' }, element('td', {}, thumb), ...cells);
-    made.addEventListener('click', () => choose(row.row));
-    return made;
+    return choosable(row.row, element('td', {}, thumb), ...cellsOf(COLUMNS, row));
   });
   const reference = element('img', { src: images.frames[state.pose.folder]?.reference ?? '', alt: '' });
   const first = element('tr', {}, element('td', {}, reference), element('td', {}), element('td', { class: 'text', colspan: 12 }, 'the reference'));
   document.querySelector('#table tbody').replaceChildren(first, ...rows);
   drawOthers();
+}
+
+// What flickers along a camera path.
+function drawAlong() {
+  const { along } = results;
+  $('along').hidden = !along;
+  if (!along) return;
+  $('along-name').textContent = `Along ${results.identity.path.name}`;
+  $('along-summary').textContent = along.summary;
+  const { heads, order } = sorting(ALONG_COLUMNS, state.alongSort, drawAlong);
+  document.querySelector('#along thead').replaceChildren(element('tr', {}, ...heads));
+  const rows = along.entries.filter((row) => !row.same_as).sort(order).map((row) => choosable(row.row, ...cellsOf(ALONG_COLUMNS, row)));
+  document.querySelector('#along tbody').replaceChildren(...rows);
+  const same = along.entries.filter((row) => row.same_as).map((row) => [row.row, row.same_as]);
+  $('along-others').replaceChildren(
+    ...list('Drawn as another setting in all frames', ['setting', 'drawn as'], same),
+    ...list('Refused along the path', ['setting', 'reason'], along.refused),
+  );
 }
 
 function list(title, heads, rows) {
@@ -139,6 +179,7 @@ function draw() {
   drawPlot();
   drawComparison();
   drawTable();
+  drawAlong();
 }
 
 function choose(row) {

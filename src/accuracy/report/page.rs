@@ -207,6 +207,8 @@ mod tests {
             "data:image/png;base64,",
             "good-way",
             "type=\"range\"",
+            "id=\"along-summary\"",
+            "beaten way in frame 4",
             "<title>",
         ] {
             assert!(text.contains(expected), "{expected}");

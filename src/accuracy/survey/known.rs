@@ -24,7 +24,8 @@ impl Known {
 
     pub fn see(&mut self, record: &Record) {
         match record {
-            Record::Run { .. } => {}
+            // Frames of a path are none of a pose.
+            Record::Run { .. } | Record::Frame { .. } | Record::FrameRefused { .. } => {}
             Record::Image { pose, row, drawn, .. } => {
                 self.drawn.insert((pose.clone(), row.clone()), Some(**drawn));
             }
