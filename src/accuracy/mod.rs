@@ -17,6 +17,7 @@
 pub mod cost;
 mod date;
 pub mod difference;
+pub mod enlarge;
 pub mod journal;
 pub mod metrics;
 pub mod planning;

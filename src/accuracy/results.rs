@@ -67,6 +67,8 @@ pub struct Entry {
     pub slug: String,
     /// Settings of the row; others have their defaults.
     pub settings: Given,
+    /// Width and height of the drawn frame as a share of those that it is shown at; less than 1 for frames that are enlarged, bilinearly.
+    pub scale: f64,
     /// The row that draws the same frame.
     pub same_as: Option<String>,
     /// The receipt's reasons for drawing otherwise than requested.
@@ -178,11 +180,11 @@ impl Scope {
         }
         let of_pose: BTreeMap<&str, &Record> =
             records.iter().filter_map(|record| Some((row_at(record, name)?, record))).collect();
-        let drawn: Vec<(&Given, Option<&Given>)> = rows
+        let drawn: Vec<(&Row, Option<&Given>)> = rows
             .iter()
             .map(|row| match of_pose.get(row.label.as_str()) {
-                Some(Record::Image { drawn, .. }) => (&row.given, Some(&**drawn)),
-                _ => (&row.given, None),
+                Some(Record::Image { drawn, .. }) => (row, Some(&**drawn)),
+                _ => (row, None),
             })
             .collect();
         let owner: BTreeMap<&str, &str> = rows
@@ -259,6 +261,7 @@ impl Entry {
             family: row.family.clone(),
             slug: row.slug(),
             settings: row.given,
+            scale: row.scale,
             same_as,
             notes,
             psnr_db: psnr_db(metrics.mse),

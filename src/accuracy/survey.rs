@@ -12,6 +12,7 @@
 //! A survey without a folder keeps no frames, and draws the reference of a pose anew when it is needed.
 
 mod along;
+mod compare;
 mod known;
 
 use std::collections::HashSet;
@@ -22,18 +23,16 @@ use std::time::Duration;
 
 pub use self::along::{MOST_FRAMES, Path as AlongPath};
 
+use self::compare::notes;
 use self::known::Known;
-use super::difference::{Difference, Shot};
-use super::journal::{Identity, Journal, JournalError, Metrics, PoseRecord, Record, write_whole};
-use super::metrics::{self, SizeMismatch};
+use super::journal::{Identity, Journal, JournalError, PoseRecord, Record, write_whole};
+use super::metrics::SizeMismatch;
 use super::poses::{UnknownCamera, around, of_cameras};
 use super::reference::Reference;
 use super::sweep::{Row, order, owners, slug};
-use super::truth::{Finer, PARTS, Truth, Wide, floats, is_covered, opaque, quads};
+use super::truth::{Finer, PARTS, Truth, Wide, floats, is_covered, quads};
 use crate::encode::{EncodeError, FrameImage, ImageFormat, encode};
-use crate::engine::{
-    Client, EncodedFrame, Engine, EngineError, FrameRequest, Pose, Receipt, SceneInfo,
-};
+use crate::engine::{Client, EncodedFrame, Engine, EngineError, FrameRequest, Pose, SceneInfo};
 use crate::math::{Camera, CameraError, Lens};
 use crate::plan::{Given, Output, Settings};
 
@@ -502,73 +501,17 @@ impl Survey<'_> {
             })
             .collect();
         let pairs: Vec<_> =
-            rows.iter().zip(&drawn).map(|(row, drawn)| (&row.given, drawn.as_ref().ok())).collect();
+            rows.iter().zip(&drawn).map(|(row, drawn)| (row, drawn.as_ref().ok())).collect();
         let owners = owners(&pairs);
         (drawn, owners)
     }
 
     fn row_request(&self, camera: Camera, row: &Row) -> FrameRequest {
         let settings = self.complete(Settings::from(row.given));
-        self.request(Pose::Camera(camera), settings, Output::Color)
+        let [width, height] = row.drawn_size(self.size);
+        let request = self.request(Pose::Camera(camera), settings, Output::Color);
+        FrameRequest { width, height, ..request }
     }
-
-    /// Opaque pixels of a drawn frame.
-    fn pixels(&self, frame: &EncodedFrame) -> Vec<[u8; 4]> {
-        quads(&frame.bytes).into_iter().map(opaque).collect()
-    }
-
-    /// Draws all outputs of a row, compares them with the reference, and writes the frame and its FLIP map.
-    fn compare(&self, pose: &NamedPose, row: &Row, truth: &Truth) -> Result<Record, SurveyError> {
-        let request = self.row_request(pose.camera, row);
-        let frame = self.draw(request.clone())?;
-        let color = self.pixels(&frame);
-        let settings = request.settings.finer(1, true);
-        let seen = self.draw(FrameRequest { settings, ..request.clone() })?;
-        let covered: Vec<bool> = quads(&seen.bytes).into_iter().map(is_covered).collect();
-        // Depths and normals of another drawing say nothing about this one.
-        let instead = frame.receipt.settings.instead_because;
-        let own = |output| {
-            if self.purpose == Purpose::Planner {
-                return Ok(None);
-            }
-            let frame = self.draw(FrameRequest { output, ..request.clone() })?;
-            let is_own = frame.receipt.settings.instead_because == instead;
-            Ok::<_, SurveyError>(is_own.then_some(frame))
-        };
-        let depth = own(Output::Depth)?.map(|frame| floats(&frame.bytes));
-        let depth = depth.map(|depth| metrics::depth_error(&truth.depth, &depth)).transpose()?;
-        let normals = metrics::normals_from_rgba8(&truth.normal);
-        let normal = own(Output::Normal)?.map(|frame| {
-            let own = metrics::normals_from_rgba8(&quads(&frame.bytes));
-            metrics::normal_error_deg(&normals, &own)
-        });
-        let shot = Shot { color: &color, covered: &covered };
-        let Difference { mse, ssim, flip, max_error, coverage, map } =
-            Difference::between(truth.shot(), shot, self.size)?;
-        let (depth, normal_deg) = (depth.flatten(), normal.transpose()?.flatten());
-        let found = Metrics { mse, ssim, flip, max_error, coverage, depth, normal_deg };
-        if let Some(file) = self.file(pose, &row.slug(), "") {
-            self.write_png(&file, color)?;
-        }
-        if let Some(file) = self.file(pose, &row.slug(), "-flip") {
-            self.write_png(&file, map.into_iter().map(super::report::heat).collect())?;
-        }
-        Ok(Record::Image {
-            pose: pose.name.clone(),
-            row: row.label.clone(),
-            metrics: Box::new(found),
-            drawn: Box::new(frame.receipt.settings.applied),
-            notes: notes(&frame.receipt),
-        })
-    }
-}
-
-/// The receipt's reasons for drawing in another way than requested.
-fn notes(receipt: &Receipt) -> Vec<String> {
-    let used = &receipt.settings;
-    let because = used.because.clone();
-    let instead = used.instead_because.map(str::to_owned);
-    [because, instead, used.full_because.clone()].into_iter().flatten().collect()
 }
 
 #[cfg(test)]

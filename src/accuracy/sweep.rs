@@ -13,18 +13,33 @@ pub struct Row {
     /// How samples are drawn; rows of a family have one colour in the plot.
     pub family: String,
     pub given: Given,
+    /// Width and height of the drawn frames as a share of those that are shown: 1, or one of [`SCALES`].
+    pub scale: f64,
 }
+
+/// Scales of frames that are drawn smaller than they are shown, as moving frames of streams are, and their names.
+pub const SCALES: [(f64, &str); 2] = [(0.75, "3/4"), (0.5, "1/2")];
 
 impl Row {
     /// Whether the row is what the program draws when nothing is chosen.
     pub fn is_default(&self) -> bool {
-        Settings::from(self.given) == Settings::default()
+        Settings::from(self.given) == Settings::default() && self.is_whole()
     }
 
-    /// Whether the row draws full detail without antialiasing, and nothing else.
+    /// Whether frames are drawn as large as they are shown.
+    pub fn is_whole(&self) -> bool {
+        self.scale >= 1.0
+    }
+
+    /// Size in pixels of the drawn frames for a size that is shown.
+    pub fn drawn_size(&self, shown: [u32; 2]) -> [u32; 2] {
+        shown.map(|side| ((f64::from(side) * self.scale).round() as u32).clamp(1, side.max(1)))
+    }
+
+    /// Whether the row draws full detail at full size without antialiasing, and nothing else.
     pub fn is_plain_full(&self) -> bool {
         let settings = Settings::from(self.given);
-        settings.lod == Lod::Full && settings.parts() == 1
+        settings.lod == Lod::Full && settings.parts() == 1 && self.is_whole()
     }
 
     /// Name as a part of file names: letters, digits and single hyphens.
@@ -40,19 +55,38 @@ pub fn slug(text: &str) -> String {
     words.join("-")
 }
 
-/// All rows of a survey, from the declarations of the settings.
+/// All combinations of settings, from their declarations, at full size.
 pub fn rows(extent: Extent) -> Vec<Row> {
     let row = |found: crate::plan::TradeOff| Row {
         label: found.label,
         family: found.family,
         given: found.given,
+        scale: 1.0,
     };
     trade_offs(extent).into_iter().map(row).collect()
 }
 
-/// Rows of a survey that are compared along a camera path: the main settings, and the variants that matter most.
+/// All rows of a survey: the combinations of settings, and the main ones with default numbers at each of [`SCALES`].
+pub fn sized_rows(extent: Extent) -> Vec<Row> {
+    let mut found = rows(extent);
+    for row in rows(Extent::Few) {
+        let settings = Settings::from(row.given);
+        if settings.leaves_drawing_open() || settings.parts() > 1 {
+            continue;
+        }
+        let at = |(scale, name): (f64, &str)| Row {
+            label: format!("{} size={name}", row.label),
+            scale,
+            ..row.clone()
+        };
+        found.extend(SCALES.map(at));
+    }
+    found
+}
+
+/// Rows of a survey that are compared along a camera path: the main settings, and the variants and sizes that matter most.
 pub fn main_rows(extent: Extent) -> Vec<Row> {
-    let mut found = rows(Extent::Few);
+    let mut found = sized_rows(Extent::Few);
     if extent == Extent::All {
         let more = rows(Extent::Planned).into_iter().filter(|row| !found.contains(row));
         found.extend(more.collect::<Vec<_>>());
@@ -60,19 +94,20 @@ pub fn main_rows(extent: Extent) -> Vec<Row> {
     found
 }
 
-/// For each row, given as what it asks for and what it is drawn with, the row that stands for all rows that are drawn alike: the first one
+/// For each row, given with the settings that it is drawn with, the row that stands for all rows that are drawn alike in the same size: the first one
 /// that is drawn as it asks, or else the first one. `None` for rows that are not drawn.
-pub fn owners(rows: &[(&Given, Option<&Given>)]) -> Vec<Option<usize>> {
+pub fn owners(rows: &[(&Row, Option<&Given>)]) -> Vec<Option<usize>> {
     let is_as_asked = |asked: &Given, drawn: &Given| {
         let drawn = drawn.pairs();
         asked.pairs().iter().all(|pair| drawn.contains(pair))
     };
-    let owner = |drawn: &Given| {
-        let mut alike = (0..rows.len()).filter(|&row| rows[row].1 == Some(drawn)).peekable();
+    let owner = |own: &Row, drawn: &Given| {
+        let is_alike = |row: &usize| rows[*row].1 == Some(drawn) && rows[*row].0.scale == own.scale;
+        let mut alike = (0..rows.len()).filter(is_alike).peekable();
         let first = alike.peek().copied();
-        alike.find(|&row| is_as_asked(rows[row].0, drawn)).or(first)
+        alike.find(|&row| is_as_asked(&rows[row].0.given, drawn)).or(first)
     };
-    rows.iter().map(|(_, drawn)| owner((*drawn)?)).collect()
+    rows.iter().map(|(own, drawn)| owner(own, (*drawn)?)).collect()
 }
 
 /// A timed frame.
@@ -200,18 +235,22 @@ mod tests {
             pairs.iter().for_each(|(name, value)| given.set_text(name, value).unwrap());
             given
         };
+        let row = |given, scale| Row { label: String::new(), family: String::new(), given, scale };
         let auto = given(&[("reconstruct", "auto")]);
         let splats = given(&[("reconstruct", "splats")]);
         let exact = given(&[("reconstruct", "splats"), ("filter", "exact")]);
         let (drawn, other) = (exact, given(&[("reconstruct", "points")]));
+        let [auto, splats, exact] = [auto, splats, exact].map(|given| row(given, 1.0));
+        let half = Row { scale: 0.5, ..splats.clone() };
         let rows = [
             (&auto, Some(&drawn)),
             (&splats, Some(&drawn)),
             (&exact, Some(&drawn)),
             (&auto, Some(&other)),
             (&splats, None),
+            (&half, Some(&drawn)),
         ];
-        assert_eq!(owners(&rows), [Some(1), Some(1), Some(1), Some(3), None]);
+        assert_eq!(owners(&rows), [Some(1), Some(1), Some(1), Some(3), None, Some(5)]);
     }
 
     #[test]
@@ -246,19 +285,37 @@ mod tests {
 
     #[test]
     fn rows_have_file_names_of_their_own() {
-        let rows = rows(Extent::All);
+        let rows = sized_rows(Extent::All);
         let slugs: BTreeSet<String> = rows.iter().map(Row::slug).collect();
         assert_eq!(slugs.len(), rows.len());
         assert!(slugs.contains("splats-spt-0-25-px"), "{slugs:?}");
+        assert!(slugs.contains("fuzzy-full-size-1-2"), "{slugs:?}");
         assert_eq!(rows.iter().filter(|row| row.is_default()).count(), 1);
         assert_eq!(slug("a/../b  c"), "a-b-c");
+    }
+
+    #[test]
+    fn the_main_settings_are_drawn_smaller_as_well() {
+        let sized = sized_rows(Extent::Few);
+        let smaller: Vec<&Row> = sized.iter().filter(|row| !row.is_whole()).collect();
+        for row in &smaller {
+            let (plain, _) = row.label.rsplit_once(" size=").unwrap();
+            let whole = sized.iter().find(|row| row.label == plain).unwrap();
+            assert_eq!((whole.given, whole.family.as_str()), (row.given, row.family.as_str()));
+            assert!(!plain.contains('=') && row.family != "auto" && !row.is_default());
+        }
+        let plain = rows(Extent::Few).len();
+        assert_eq!((smaller.len() + plain, smaller.len() % 2), (sized.len(), 0));
+        assert!(rows(Extent::Planned).iter().chain(&rows(Extent::All)).all(Row::is_whole));
+        let half = smaller.iter().find(|row| row.label == "splats full size=1/2").unwrap();
+        assert_eq!((half.drawn_size([640, 361]), half.drawn_size([1, 1])), ([320, 181], [1, 1]));
     }
 
     #[test]
     fn rows_of_a_path_are_those_of_the_survey_and_have_one_full_detail_each() {
         for (extent, error) in [(Extent::Few, "splats spt 1 px"), (Extent::All, "splats spt 4 px")]
         {
-            let (own, all) = (main_rows(extent), rows(extent));
+            let (own, all) = (main_rows(extent), sized_rows(extent));
             assert!(own.iter().all(|row| all.contains(row)), "{extent:?}");
             assert!(own.iter().any(|row| row.label == error), "{extent:?}");
             assert!(own.iter().any(Row::is_default), "{extent:?}");

@@ -215,7 +215,7 @@ fn survey(args: &AccuracyArgs, scene: &Path) -> Result<()> {
         client: Client::Unnamed,
         scene: ID,
         poses: Vec::new(),
-        rows: sweep::rows(extent),
+        rows: sweep::sized_rows(extent),
         size: [width, height],
         repeats: args.repeats.unwrap_or(if args.quick { 3 } else { 5 }),
         seed: args.seed,

@@ -14,7 +14,8 @@ const BOX = { width: 360, height: 300, left: 46, right: 352, top: 8, bottom: 252
 const REFERENCE = '\0reference', DEFAULTS = '\0defaults';
 
 export class Accuracy {
-  // view: {scene(), request(), limits()}; request(): the parameters of the view's frame.
+  // view: {scene(), request(), limits(), scale(), setScale(share)}; request(): the parameters of the view's frame; scale(): the share of its full width
+  // and height that it is drawn at.
   constructor(view) {
     this.view = view;
     this.wipe = new Wipe();
@@ -33,6 +34,7 @@ export class Accuracy {
 
   ofScene() {
     this.known = this.receipt = this.chosen = null;
+    this.resize(1);
     this.wipe.close();
     this.show();
     if ($('accuracy').open) this.ask();
@@ -112,7 +114,9 @@ export class Accuracy {
     const rows = (scope?.entries ?? []).filter(isPlotted).sort((a, b) => a.gpu_ms.median - b.gpu_ms.median).map(row => row.row);
     const words = row => row === scope.default ? `${row} (default)` : row;
     $('accuracy-row').replaceChildren(option('', 'choose a point …'), ...rows.map(row => option(row, words(row))));
-    $('wipe-with').replaceChildren(option(REFERENCE, 'the reference'), option(DEFAULTS, 'the defaults'), ...rows.map(row => option(row, row)));
+    // Both sides of a comparison have the same size.
+    const whole = rows.filter(row => scope.entries.find(found => found.row === row).scale === 1);
+    $('wipe-with').replaceChildren(option(REFERENCE, 'the reference'), option(DEFAULTS, 'the defaults'), ...whole.map(row => option(row, row)));
     $('wipe-with').value = chosen;
     if (!$('wipe-with').value) $('wipe-with').value = REFERENCE;
     if (!rows.includes(this.chosen)) this.chosen = null;
@@ -142,7 +146,7 @@ export class Accuracy {
   here(scope) {
     const { receipt } = this, ns = receipt?.gpu_ns;
     if (ns == null) return null;
-    const rows = scope.entries.filter(isPlotted), used = settings.trading().filter(({ name }) => receipt.settings[name] !== undefined);
+    const rows = scope.entries.filter(row => isPlotted(row) && row.scale === this.view.scale()), used = settings.trading().filter(({ name }) => receipt.settings[name] !== undefined);
     // A row that leaves a setting to the scene is drawn like a view that does.
     const fits = row => used.every(({ name, usual, isUsual }) => {
       const own = row.settings[name] ?? usual;
@@ -157,15 +161,20 @@ export class Accuracy {
     const row = this.chosen && scope.entries.find(found => found.row === this.chosen);
     if (!row) return 'Click a point to draw the view with its settings.';
     const parts = Object.values(MEASURES).map(({ name, value, digits: count }) => `${name.split(/[ ,]/)[0] === 'mean' ? 'FLIP' : name.split(/[ ,]/)[0]} ${digits(value(row), count)}`);
-    return `${row.row}: ${short(row.gpu_ms?.median)} ms, ${parts.join(', ')}, ${row.coverage.holes} hole pixels, ${row.coverage.leaks} leak pixels.`;
+    return `${row.row}: ${short(row.gpu_ms?.median)} ms, ${parts.join(', ')}, ${row.coverage.holes} hole pixels, ${row.coverage.leaks} leak pixels.${row.scale < 1 ? ` Drawn at ${100 * row.scale} % of the width and height, and enlarged.` : ''}`;
   }
 
-  // Draws the view with the settings of a point.
+  // Draws the view with the settings and in the size of a point.
   choose(name) {
     const row = this.scope?.entries.find(found => found.row === name);
     this.chosen = row ? name : null;
+    this.resize(row?.scale ?? 1);
     if (row) settings.trade(row.settings);
     this.plot();
+  }
+
+  resize(scale) {
+    if (scale !== this.view.scale()) this.view.setScale(scale);
   }
 
   async compare() {

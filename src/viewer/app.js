@@ -43,6 +43,8 @@ let isFlatByCamera = false; // the camera that was chosen is orthographic
 let frames = 0, pollTimer = 0, newsTimer = 0, turning = 0;
 
 // --- requests ------------------------------------------------------------------------------------
+let scale = 1; // share of the full width and height that frames are drawn at; the page enlarges them
+
 function fullSize() {
   const ratio = window.devicePixelRatio || 1;
   const w = Math.max(1, Math.round(canvas.clientWidth * ratio)), h = Math.max(1, Math.round(canvas.clientHeight * ratio));
@@ -53,7 +55,7 @@ function fullSize() {
 }
 
 function parameters() {
-  const [w, h] = fullSize(), { projection, ...others } = settings.parameters();
+  const [w, h] = fullSize().map(side => Math.max(1, Math.round(scale * side))), { projection, ...others } = settings.parameters();
   // Without a pose the server frames the scene in this projection.
   return { ...shown(), w, h, ...(projection && !pose ? { projection } : {}), ...others };
 }
@@ -426,7 +428,13 @@ const recorder = new Recorder({
   scene: () => scene, pose: () => pose, show: setPose, settings: settings.parameters,
 });
 const jobs = new Jobs();
-const accuracy = new Accuracy({ scene: () => scene, request: parameters, limits: () => limits });
+const accuracy = new Accuracy({
+  scene: () => scene, request: parameters, limits: () => limits, scale: () => scale,
+  setScale: next => {
+    scale = next;
+    if (scene) changed(false);
+  },
+});
 const films = new Films({ scene: () => scene, recorder, settings: settings.parameters, jobs });
 const controls = new Controls(canvas, {
   pose: () => pose,

@@ -191,7 +191,7 @@ mod tests {
     fn row(family: &str, pairs: &[(&str, &str)], label: &str) -> Row {
         let mut given = Given::default();
         pairs.iter().for_each(|(name, value)| given.set_text(name, value).unwrap());
-        Row { label: label.into(), family: family.into(), given }
+        Row { label: label.into(), family: family.into(), given, scale: 1.0 }
     }
 
     fn rows() -> Vec<Row> {

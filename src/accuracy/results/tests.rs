@@ -36,6 +36,7 @@ pub(crate) fn results() -> Results {
         label: label.into(),
         family: label[..3].into(),
         given: if label == "good way" { Given::default() } else { *given(1) },
+        scale: 1.0,
     };
     let rows = ["fast way", "good way", "beaten way", "other way", "gone <way>"].map(row);
     let mut records = Vec::new();
@@ -168,8 +169,12 @@ fn the_summary_says_what_a_decibel_costs() {
 
 #[test]
 fn a_drawing_that_turns_out_to_be_another_rows_is_not_plotted() {
-    let row =
-        |label: &str| Row { label: label.into(), family: "a".into(), given: Given::default() };
+    let row = |label: &str| Row {
+        label: label.into(),
+        family: "a".into(),
+        given: Given::default(),
+        scale: 1.0,
+    };
     let image = |row: &str| Record::Image {
         pose: "p".into(),
         row: row.into(),

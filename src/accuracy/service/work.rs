@@ -76,7 +76,7 @@ impl Shared {
             client: Client::Job(LANE),
             scene,
             poses: Vec::new(),
-            rows: sweep::rows(if wanted.is_quick { Extent::Few } else { Extent::All }),
+            rows: sweep::sized_rows(if wanted.is_quick { Extent::Few } else { Extent::All }),
             size: wanted.size,
             repeats: wanted.repeats,
             seed: SEED,

@@ -148,7 +148,7 @@ impl Survey<'_> {
                         None => {
                             self.check_stop()?;
                             let frame = self.draw(self.row_request(camera, &path.rows[owner]))?;
-                            let pixels = Arc::new(self.pixels(&frame));
+                            let pixels = Arc::new(self.pixels(&path.rows[owner], &frame));
                             shown.insert(owner, pixels.clone());
                             pixels
                         }

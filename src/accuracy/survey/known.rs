@@ -53,7 +53,7 @@ impl Known {
             let drawn = |row: &Row| {
                 self.drawn.get(&(pose.name.clone(), row.label.clone())).and_then(Option::as_ref)
             };
-            let pairs: Vec<_> = rows.iter().map(|row| (&row.given, drawn(row))).collect();
+            let pairs: Vec<_> = rows.iter().map(|row| (row, drawn(row))).collect();
             let own = owners(&pairs).into_iter().enumerate();
             subjects.extend(
                 own.filter(|&(row, owner)| owner == Some(row)).map(|(row, _)| (number, row)),
@@ -114,6 +114,7 @@ mod tests {
             label: label.to_owned(),
             family: String::new(),
             given: Given::default(),
+            scale: 1.0,
         };
         let rows = ["a", "b", "c", "d", "e", "f"].map(row);
         let camera = Camera {
