@@ -121,6 +121,7 @@ fn main() -> anyhow::Result<()> {
             scene: "scene",
             least_size: pick(LEAST_SIZE, [64, 36]),
             stop: &stop,
+            journals: None,
         };
         for request in planning.requests() {
             drawing.engine.bake(&request)?;

@@ -243,6 +243,33 @@ impl Journal {
         Ok(journal)
     }
 
+    /// The journal of this name in a folder of journals, where there is one and can be written; a journal of another survey is replaced. Else one that ends
+    /// with the process.
+    pub fn resumed(folder: Option<&Path>, name: &str, identity: &Identity, date: &str) -> Journal {
+        let Some(folder) = folder.map(|folder| folder.join(name)) else {
+            return Journal::in_memory(identity, date);
+        };
+        let opened = Journal::open(&folder, identity, date).or_else(|error| {
+            let is_useless = matches!(
+                error,
+                JournalError::Other { .. }
+                    | JournalError::Damaged { .. }
+                    | JournalError::Foreign { .. }
+            );
+            if !is_useless {
+                return Err(error);
+            }
+            tracing::warn!(%error, "a measurement begins anew");
+            std::fs::remove_dir_all(&folder)
+                .map_err(|error| JournalError::Io { file: folder.clone(), error })?;
+            Journal::open(&folder, identity, date)
+        });
+        opened.unwrap_or_else(|error| {
+            tracing::error!(%error, "a measurement is kept in memory alone");
+            Journal::in_memory(identity, date)
+        })
+    }
+
     /// A journal that ends with the process.
     pub fn in_memory(identity: &Identity, date: &str) -> Journal {
         Journal { place: None, date: date.to_owned(), key: identity.key(), records: Vec::new() }
@@ -469,6 +496,29 @@ mod tests {
         journal.add(time(0)).unwrap();
         assert_eq!((journal.records.as_slice(), journal.date.as_str()), (&[time(0)][..], "monday"));
         assert_ne!(journal.key, Journal::in_memory(&Identity { width: 65, ..identity() }, "").key);
+    }
+
+    #[test]
+    fn a_journal_is_resumed_where_that_is_possible() {
+        let folder = tempfile::tempdir().unwrap();
+        let place = Some(folder.path());
+        Journal::resumed(place, "a", &identity(), "monday").add(time(0)).unwrap();
+        let again = Journal::resumed(place, "a", &identity(), "tuesday");
+        assert_eq!((again.records.as_slice(), again.date.as_str()), (&[time(0)][..], "monday"));
+        // Another process writes it.
+        let mut second = Journal::resumed(place, "a", &identity(), "tuesday");
+        assert!(second.place.is_none() && second.records.is_empty());
+        second.add(time(1)).unwrap();
+        drop(again);
+        let other = Identity { width: 65, ..identity() };
+        let replaced = Journal::resumed(place, "a", &other, "tuesday");
+        assert!(replaced.records.is_empty() && replaced.place.is_some());
+        drop(replaced);
+        std::fs::write(folder.path().join("a").join(JOURNAL), "mine\n").unwrap();
+        assert!(Journal::resumed(place, "a", &other, "tuesday").place.is_some());
+        std::fs::write(folder.path().join("file"), "").unwrap();
+        assert!(Journal::resumed(place, "file", &other, "tuesday").place.is_none());
+        assert!(Journal::resumed(None, "a", &other, "tuesday").place.is_none());
     }
 
     #[test]

@@ -1,8 +1,9 @@
 //! Measures what the planner predicts from: the frames of many settings at poses in all directions and distances, in three sizes.
 //!
 //! A first look at a few poses leaves out settings that others beat in both time and error. The rest is drawn at all poses; the sizes take
-//! turns from pose to pose. Nothing is written to a folder: the engine keeps the measurements beside the point trees.
+//! turns from pose to pose. The engine keeps the measurements beside the point trees; journals serve to go on with a measurement that was interrupted.
 
+use std::path::Path;
 use std::sync::atomic::AtomicBool;
 use std::time::SystemTime;
 
@@ -45,6 +46,8 @@ pub struct Planning<'a> {
     pub least_size: [u32; 2],
     /// Ends the measurement after the frame at hand.
     pub stop: &'a AtomicBool,
+    /// Folder of the journals, where there is one.
+    pub journals: Option<&'a Path>,
 }
 
 impl Planning<'_> {
@@ -97,7 +100,7 @@ impl Planning<'_> {
         poses.clone_from(&first.poses);
         // Poses from near and far, since they were spread.
         first.poses.truncate(FIRST_POSES);
-        let looked = run(&first, &mut |event| tell(of_stage(0, stages, event)))?;
+        let looked = self.run(&first, "first", &mut |event| tell(of_stage(0, stages, event)))?;
         let kept = unbeaten(&looked, &first.rows);
         let mut measured =
             Measured { poses: Vec::new(), rows: kept.iter().map(row_without_points).collect() };
@@ -106,10 +109,28 @@ impl Planning<'_> {
             let own = poses.iter().skip(number).step_by(SIZES.len()).cloned().collect();
             let survey = self.survey(size, own, kept.clone());
             let stage = 1 + number as u64;
-            let results = run(&survey, &mut |event| tell(of_stage(stage, stages, event)))?;
+            let name = format!("{times}x");
+            let results =
+                self.run(&survey, &name, &mut |event| tell(of_stage(stage, stages, event)))?;
             add(&mut measured, size, &survey, &results);
         }
         Ok(measured)
+    }
+
+    /// Runs the survey of a stage; `name` is that of its journal.
+    fn run(
+        &self,
+        survey: &Survey<'_>,
+        name: &str,
+        tell: &mut dyn FnMut(Event<'_>),
+    ) -> Result<Results, SurveyError> {
+        let identity = survey.identity(survey.scene)?;
+        let now = date(SystemTime::now());
+        let mut journal = Journal::resumed(self.journals, name, &identity, &now);
+        if !survey.run(&mut journal, tell)? {
+            return Err(SurveyError::Stopped);
+        }
+        Ok(Results::new(identity, journal.date, &survey.rows, &journal.records))
     }
 
     /// The cameras of the scene, and views around it.
@@ -120,15 +141,6 @@ impl Planning<'_> {
         poses.extend(spread(&view, first, POSES - first));
         Ok(poses)
     }
-}
-
-fn run(survey: &Survey<'_>, tell: &mut dyn FnMut(Event<'_>)) -> Result<Results, SurveyError> {
-    let identity = survey.identity(survey.scene)?;
-    let mut journal = Journal::in_memory(&identity, &date(SystemTime::now()));
-    if !survey.run(&mut journal, tell)? {
-        return Err(SurveyError::Stopped);
-    }
-    Ok(Results::new(identity, journal.date, &survey.rows, &journal.records))
 }
 
 /// Progress of one of several stages that take about equally long, in thousandths.

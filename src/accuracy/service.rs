@@ -2,16 +2,18 @@
 //!
 //! ```text
 //! begin ─► running ─┬─► done: the results are kept, in memory and in the folder
-//!                   └─► failed or cancelled: earlier results stay
+//!                   ├─► failed or cancelled: earlier results stay
+//!                   └─► the process ends: the next one goes on where this one stopped
 //! ```
 //!
-//! Frames go to the engine as those of a job do, so that requests and streams come first. A survey is lost when the process ends; only
-//! results are written to the folder ([`mod@store`]). Results belong to one content of a scene on one adapter, drawn by one build: a tag of these
+//! Frames go to the engine as those of a job do, so that requests and streams come first. The folder has the results ([`mod@store`]) and the journals of the
+//! survey that runs ([`unfinished`]). Results belong to one content of a scene on one adapter, drawn by one build: a tag of these
 //! tells whether they are [stale](View::is_stale).
 //!
 //! The lock of the book is held for look-ups and changes alone, never while something is drawn, read or written.
 
 mod store;
+mod unfinished;
 mod work;
 
 use std::collections::BTreeMap;
@@ -22,8 +24,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
 use parking_lot::Mutex;
+use serde::{Deserialize, Serialize};
 
 use self::store::Store;
+use self::unfinished::Unfinished;
 use self::work::Outcome;
 use super::planning;
 use super::poses::{UnknownCamera, of_cameras};
@@ -46,7 +50,7 @@ const MOST_KEPT: usize = 64;
 const BYTES_PER_PIXEL: u64 = 768;
 
 /// Scope of a survey.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Wanted {
     /// Measure for the planner. `size` is that of the smallest frames, and the rest is the planner's.
     pub is_for_planner: bool,
@@ -139,6 +143,7 @@ struct Book {
 struct Shared {
     engine: Engine,
     store: Store,
+    unfinished: Unfinished,
     book: Mutex<Book>,
     thread: Mutex<Option<JoinHandle<()>>>,
 }
@@ -150,13 +155,14 @@ pub struct Surveys(Arc<Shared>);
 impl Surveys {
     /// Surveys with the results that earlier processes kept in the folder. Without a folder, results end with the process.
     pub fn open(engine: Engine, folder: Option<PathBuf>) -> Surveys {
+        let unfinished = Unfinished::new(folder.as_deref());
         let store = Store::new(folder);
         let mut kept = store.read();
         // The newest ones.
         kept.drain(..kept.len().saturating_sub(MOST_KEPT));
         let kept = kept.into_iter().map(|kept| (kept.scene.clone(), Arc::new(kept))).collect();
         let book = Mutex::new(Book { kept, ..Book::default() });
-        Surveys(Arc::new(Shared { engine, store, book, thread: Mutex::default() }))
+        Surveys(Arc::new(Shared { engine, store, unfinished, book, thread: Mutex::default() }))
     }
 
     /// Begins a survey of a scene.
@@ -215,6 +221,21 @@ impl Surveys {
         Ok(())
     }
 
+    /// Goes on with the survey that an earlier process did not end, if there is one. Called once, when scenes are loaded. Blocks for as long as [`Surveys::begin`].
+    pub fn resume(&self) {
+        let Some((scene, wanted)) = self.0.unfinished.left_over() else { return };
+        match self.begin(&scene, wanted) {
+            Ok(()) => tracing::info!(scene, "going on with an accuracy measurement"),
+            // A client was faster.
+            Err(Refusal::Running { .. }) => {}
+            Err(Refusal::Engine(EngineError::ShuttingDown)) => {}
+            Err(refusal) => {
+                tracing::warn!(scene, %refusal, "cannot go on with an accuracy measurement");
+                self.0.unfinished.remove_of(&scene);
+            }
+        }
+    }
+
     /// Returns what is known of a scene; `None` if it was never measured. Blocks for as long as resolving a frame takes.
     pub fn view(&self, scene: &str) -> Option<View> {
         let (state, kept) = {
@@ -241,12 +262,17 @@ impl Surveys {
 
     /// Cancels the running survey of a scene; it ends after the frame at hand. Earlier results stay.
     pub fn cancel(&self, scene: &str) {
-        self.0.end(scene, Fate::Cancelled);
+        if !self.0.end(scene, Fate::Cancelled) {
+            self.0.unfinished.remove_of(scene);
+        }
     }
 
     /// Cancels the running survey of a scene, and removes its results. Returns whether there was anything.
     pub fn forget(&self, scene: &str) -> bool {
         let was_running = self.0.end(scene, Fate::Forgotten);
+        if !was_running {
+            self.0.unfinished.remove_of(scene);
+        }
         let mut book = self.0.book.lock();
         let had_ended = book.ended.remove(scene).is_some();
         let had_results = book.kept.remove(scene).is_some();
@@ -299,6 +325,7 @@ impl Shared {
     /// Surveys a scene and keeps the results.
     fn work(&self, scene: &str, wanted: &Wanted, stop: &AtomicBool, admission: &Admission) {
         tracing::info!(scene, ?wanted, "measuring accuracy");
+        self.unfinished.start(scene, wanted);
         let measuring = AssertUnwindSafe(|| self.measure(scene, wanted, stop));
         let measured = catch_unwind(measuring).unwrap_or_else(|_| {
             let detail = "the measurement ended by a defect of the program";
@@ -306,10 +333,12 @@ impl Shared {
         });
         admission.shrink_to(0);
         // Written before the survey counts as ended: whoever sees it done finds the file.
-        let is_wanted = {
+        let (is_wanted, is_closed) = {
             let book = self.book.lock();
-            book.running.as_ref().is_some_and(|running| running.fate == Fate::Wanted)
+            let running = book.running.as_ref();
+            (running.is_some_and(|running| running.fate == Fate::Wanted), book.is_closed)
         };
+        let goes_on = is_wanted && is_closed && matches!(measured, Err(State::Cancelled));
         let (state, kept) = match measured {
             Ok(Outcome::Results(kept)) => (State::Done, Some(Arc::new(kept))),
             Ok(Outcome::Planner(measured)) if is_wanted => {
@@ -324,6 +353,11 @@ impl Shared {
         let kept = kept.filter(|_| is_wanted);
         if let Some(kept) = &kept {
             self.store.write(kept);
+        }
+        // Before the survey leaves the book, so that the next one finds the folder empty.
+        match goes_on {
+            true => self.unfinished.pause(),
+            false => self.unfinished.remove(),
         }
         let mut book = self.book.lock();
         let fate = book.running.take().map_or(Fate::Forgotten, |running| running.fate);

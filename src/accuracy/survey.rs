@@ -425,7 +425,8 @@ impl Survey<'_> {
             if self.file(pose, REFERENCE, "").is_some_and(|file| !file.exists()) {
                 truth = Some(self.kept_truth(pose, key)?);
             }
-            if self.purpose == Purpose::Planner {
+            let is_missing = |row: &Row| !known.has(&pose.name, &row.label);
+            if self.purpose == Purpose::Planner && self.rows.iter().any(is_missing) {
                 truth = match self.kept_truth(pose, key) {
                     // At another size, something was seen.
                     Err(SurveyError::Blank(_)) => continue,

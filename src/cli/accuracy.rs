@@ -177,7 +177,9 @@ fn plan(args: &AccuracyArgs, scene: &Path) -> Result<()> {
     let stop = stop_when_told()?;
     let least_size = args.size.map_or(planning::LEAST_SIZE, |(width, height)| [width, height]);
     let client = Client::Unnamed;
-    let planning = Planning { engine: &engine, client, scene: ID, least_size, stop: &stop };
+    let journals = None;
+    let planning =
+        Planning { engine: &engine, client, scene: ID, least_size, stop: &stop, journals };
     for request in planning.requests() {
         bake(&engine, &request)?;
     }

@@ -79,6 +79,8 @@ pub async fn serve(
             if let Some(followed) = followed {
                 tokio::spawn(follow::follow(app.clone(), followed));
             }
+            let surveys = app.surveys.clone();
+            tokio::task::spawn_blocking(move || surveys.resume());
             ready(&app.engine, address);
             notify(&[sd_notify::NotifyState::Ready]);
             let watchdog = tokio::spawn(watchdog(app.clone()));

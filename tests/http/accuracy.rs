@@ -211,6 +211,61 @@ fn a_measurement_starves_nobody_and_can_be_cancelled() {
     assert!(daemon.terminate().success());
 }
 
+/// Lines of the journal of the running measurement.
+fn journal(daemon: &Daemon) -> Vec<String> {
+    let file = daemon.state().join("accuracy/unfinished/report/measurements.jsonl");
+    let text = std::fs::read_to_string(file).unwrap_or_default();
+    text.split_inclusive('\n').filter(|line| line.ends_with('\n')).map(str::to_owned).collect()
+}
+
+#[test]
+fn a_measurement_goes_on_after_the_process_has_ended() {
+    let mut daemon = Daemon::start(&[]);
+    let long = json!({ "w": 32, "h": 24, "repeats": 20, "quick": false, "cameras": ["front"] });
+    begin(&daemon.client(), &long);
+    // Killed, and told to stop: the next process goes on by itself with what was measured.
+    let mut before = Vec::new();
+    for is_killed in [true, false] {
+        eventually("more measurements", || journal(&daemon).len() > before.len() + 10);
+        daemon = match is_killed {
+            true => daemon.kill_and_restart(&[]),
+            false => daemon.restart(&[]),
+        };
+        before = journal(&daemon);
+        let client = daemon.client();
+        eventually("the measurement to go on", || {
+            let found = state(&client);
+            let done = found["progress"]["done"].as_u64().unwrap_or(0);
+            found["state"] == "running" && done > 5
+        });
+        eventually("more measurements", || journal(&daemon).len() > before.len());
+        assert_eq!(journal(&daemon)[..before.len()], before);
+    }
+    let client = daemon.client();
+    cancel(&client);
+    let folder = daemon.state().join("accuracy/unfinished");
+    eventually("its journal to be removed", || !folder.exists());
+    // One that goes on ends with results of all that was measured.
+    begin_after(&client, &json!({ "w": 32, "h": 24, "repeats": 4, "cameras": ["front"] }));
+    eventually("measurements", || journal(&daemon).len() > 8);
+    let daemon = daemon.kill_and_restart(&[]);
+    let done = ended_after_restart(&daemon.client());
+    let scope = &done["results"]["scopes"][0];
+    let timed =
+        scope["entries"].as_array().unwrap().iter().filter(|entry| entry["same_as"].is_null());
+    let counts: Vec<u64> = timed.map(|entry| entry["gpu_ms"]["count"].as_u64().unwrap()).collect();
+    assert!(counts.len() > 5 && counts.iter().all(|&count| count == 4), "{counts:?}");
+    eventually("its journal to be removed", || !folder.exists());
+}
+
+/// Waits until a measurement that goes on by itself has begun and ended.
+fn ended_after_restart(client: &Client) -> Value {
+    eventually("the measurement to go on", || {
+        ["running", "done"].map(Value::from).contains(&state(client)["state"])
+    });
+    ended(client, "done")
+}
+
 #[test]
 fn what_cannot_be_measured_is_refused_at_once() {
     let empty = r#"{"assets": {}, "nodes": []}"#;

@@ -57,6 +57,11 @@ impl Shared {
                 let told = "a frame could not be drawn; the server's log has the cause";
                 State::Failed(Failure::Other(told.to_owned()))
             }
+            SurveyError::Journal(cause) => {
+                tracing::error!(scene, %cause, "measurements of accuracy cannot be kept");
+                let told = "the measurements could not be written; the server's log has the cause";
+                State::Failed(Failure::Other(told.to_owned()))
+            }
             error => State::Failed(Failure::Other(error.to_string())),
         })
     }
@@ -97,7 +102,8 @@ impl Shared {
             return Err(SurveyError::Blank(blank.join(", ")));
         }
         let identity = survey.identity(&info.name)?;
-        let mut journal = Journal::in_memory(&identity, &date(SystemTime::now()));
+        let journals = self.unfinished.journals();
+        let mut journal = Journal::resumed(journals, "report", &identity, &date(SystemTime::now()));
         let is_complete = survey.run(&mut journal, |event| self.hear(event, stop, has_changed))?;
         if !is_complete {
             return Err(SurveyError::Stopped);
@@ -117,7 +123,9 @@ impl Shared {
     ) -> Result<Measured, SurveyError> {
         let engine = &self.engine;
         let least_size = wanted.size;
-        let planning = Planning { engine, client: Client::Job(LANE), scene, least_size, stop };
+        let journals = self.unfinished.journals();
+        let client = Client::Job(LANE);
+        let planning = Planning { engine, client, scene, least_size, stop, journals };
         for request in planning.requests() {
             self.bake(&request, stop)?;
         }
