@@ -64,8 +64,9 @@ pub struct PathRecord {
     pub name: String,
     /// Frames per second.
     pub fps: f64,
-    /// Numbers of the first and of the last frame.
+    /// Number of the first frame.
     pub from: u64,
+    /// Number of the last frame.
     pub to: u64,
     /// SHA-256 of the frames' cameras.
     pub cameras: String,

@@ -152,7 +152,7 @@ fn summary(path: &PathRecord, entries: &[AlongEntry]) -> String {
     let place = format!("Along {name}, frames {from} to {to} at {fps} frames per second");
     let own = || entries.iter().filter(|entry| entry.same_as.is_none() && entry.frames > 1);
     let order = |a: &&AlongEntry, b: &&AlongEntry| a.flicker.total_cmp(&b.flicker);
-    let Some((least, most)) = own().min_by(order).zip(own().max_by(order)) else {
+    let Some((least, most)) = own().min_by(order).zip(own().rev().max_by(order)) else {
         return format!("{place}: no two frames have been compared yet.");
     };
     let told = |entry: &AlongEntry| {
@@ -164,7 +164,7 @@ fn summary(path: &PathRecord, entries: &[AlongEntry]) -> String {
             _ => energy,
         }
     };
-    let pop = match own().max_by_key(|entry| entry.pop_px) {
+    let pop = match own().rev().max_by_key(|entry| entry.pop_px) {
         Some(AlongEntry { row, pop_px, pop_frame: Some(frame), .. }) => {
             let pixels = if *pop_px == 1 { "pixel" } else { "pixels" };
             format!(" The largest pop has {pop_px} {pixels}, with {row} in frame {frame}.")

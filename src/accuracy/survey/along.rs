@@ -3,7 +3,7 @@
 //! Two frames of each row and of the reference are held at a time. A run that goes on draws the frame before the first missing one again; repeated
 //! frames of one adapter are equal.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashSet};
 use std::sync::Arc;
 
 use super::{Event, Survey, SurveyError};
@@ -55,8 +55,9 @@ struct Still {
 }
 
 /// A row's frame.
+#[derive(Clone)]
 struct Shown {
-    /// The row that stands for all that are drawn alike.
+    /// The row that stands for all that draw the same frame.
     owner: usize,
     pixels: Pixels,
 }
@@ -131,29 +132,36 @@ impl Survey<'_> {
         Ok(())
     }
 
-    /// Draws the reference of a frame of the path, and the frame with all rows; rows that are drawn alike are drawn once.
+    /// Draws the reference of a frame of the path, and the frame with all rows; rows with the same settings are drawn once.
     fn still(&self, path: &Path<'_>, number: u64) -> Result<Still, SurveyError> {
         let camera = path.shots.shot(number).camera;
         let reference = self.reference_color(camera)?;
         let (drawn, owners) = self.owners(camera, &path.rows);
-        let mut shown: HashMap<usize, Pixels> = HashMap::new();
+        let mut shown: BTreeMap<usize, Shown> = BTreeMap::new();
         let mut rows = Vec::with_capacity(path.rows.len());
         for (drawn, owner) in drawn.into_iter().zip(owners) {
             rows.push(match (drawn, owner) {
                 (Err(why), _) => Err(why),
                 (Ok(_), None) => Err("the row is drawn as no other".to_owned()),
                 (Ok(_), Some(owner)) => {
-                    let pixels = match shown.get(&owner) {
-                        Some(pixels) => pixels.clone(),
+                    let found = match shown.get(&owner) {
+                        Some(found) => found.clone(),
                         None => {
                             self.check_stop()?;
-                            let frame = self.draw(self.row_request(camera, &path.rows[owner]))?;
-                            let pixels = Arc::new(self.pixels(&path.rows[owner], &frame));
-                            shown.insert(owner, pixels.clone());
-                            pixels
+                            let row = &path.rows[owner];
+                            let frame = self.draw(self.row_request(camera, row))?;
+                            let pixels = self.pixels(row, &frame);
+                            // Settings without effect on a scene draw the same frame.
+                            let same = shown.values().find(|other| *other.pixels == pixels);
+                            let found = same.cloned().unwrap_or_else(|| {
+                                let pixels = Arc::new(pixels);
+                                Shown { owner, pixels }
+                            });
+                            shown.insert(owner, found.clone());
+                            found
                         }
                     };
-                    Ok(Shown { owner, pixels })
+                    Ok(found)
                 }
             });
         }
