@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::plan::{Extent, Given, Lod, Settings, trade_offs};
+use crate::plan::{Extent, Given, Settings, trade_offs};
 use crate::scene::random::SplitMix64;
 
 /// A combination of settings that a survey measures.
@@ -39,7 +39,7 @@ impl Row {
     /// Whether the row draws full detail at full size without antialiasing, and nothing else.
     pub fn is_plain_full(&self) -> bool {
         let settings = Settings::from(self.given);
-        settings.lod == Lod::Full && settings.parts() == 1 && self.is_whole()
+        !settings.draws_trees() && settings.parts() == 1 && self.is_whole()
     }
 
     /// Name as a part of file names: letters, digits and single hyphens.

@@ -28,10 +28,9 @@ pub(super) fn drop_without_alpha(asset: &mut Asset) {
         let texture = material.base_texture.and_then(|number| textures.get(number as usize));
         let has_alpha =
             by_vertices || material.base_color[3] < 1.0 || texture.is_some_and(texture::has_alpha);
-        if material.blends() && !has_alpha {
-            material.alpha_cutoff = None;
+        if !has_alpha {
+            (material.translucent, material.alpha_cutoff) = (material.transmits(), None);
         }
-        material.translucent = material.blends() || material.transmits();
     }
 }
 

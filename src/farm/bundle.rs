@@ -127,7 +127,7 @@ mod tests {
         let here = tempfile::tempdir().unwrap();
         let root = here.path().join("root");
         std::fs::create_dir_all(root.join("sub/deep")).unwrap();
-        let store = Store::open(here.path().join("store").to_str().unwrap()).unwrap();
+        let store = Store::create(here.path().join("store").to_str().unwrap()).unwrap();
         let paths = ["sub/s.json", "sub/deep/a.ply"].map(|name| root.join(name));
         std::fs::write(&paths[0], "{}").unwrap();
         std::fs::write(&paths[1], "ply").unwrap();
@@ -165,7 +165,7 @@ mod tests {
     #[tokio::test]
     async fn damaged_assets_are_refused() {
         let here = tempfile::tempdir().unwrap();
-        let store = Store::open(here.path().join("store").to_str().unwrap()).unwrap();
+        let store = Store::create(here.path().join("store").to_str().unwrap()).unwrap();
         let sha256 = manifest::checksum(b"something else");
         let assets = here.path().join("store/assets");
         std::fs::create_dir(&assets).unwrap();

@@ -411,8 +411,10 @@ fn the_store_may_be_a_bucket() {
     ended(&client, &id, "done");
     assert_eq!(manifest(&client, &id), alone(json!({})));
     let names = cluster.bucket.as_ref().unwrap().names();
-    let are_assets = names.iter().all(|name| name.starts_with("below/this/assets/"));
-    assert!(are_assets && names.len() == 2, "{names:?}");
+    let (marks, assets): (Vec<_>, Vec<_>) =
+        names.iter().partition(|name| *name == "below/this/pointillist-store");
+    let are_assets = assets.iter().all(|name| name.starts_with("below/this/assets/"));
+    assert!(are_assets && assets.len() == 2 && marks.len() == 1, "{names:?}");
 }
 
 #[test]
