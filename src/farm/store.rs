@@ -147,8 +147,16 @@ impl Store {
             let content = PutPayload::from_bytes(own.clone().into());
             self.objects.put_opts(&mark, content, PutMode::Create.into())
         };
-        match self.tried(put).await {
-            Ok(_) => Ok(self.id.get_or_init(|| own.clone())),
+        let mut created = self.tried(put).await.map(drop);
+        if let Err(StoreError::Failed {
+            error: object_store::Error::NotImplemented { .. }, ..
+        }) = created
+        {
+            // A service that knows no conditions: daemons must not begin at the same moment.
+            created = self.put(&mark, own.clone().into()).await;
+        }
+        match created {
+            Ok(()) => Ok(self.id.get_or_init(|| own.clone())),
             // Another daemon was faster.
             Err(error) => self.find().await?.ok_or(error),
         }

@@ -15,7 +15,7 @@ use parking_lot::Mutex;
 
 use super::problem::{Kind, Problem};
 use crate::engine::Client;
-use crate::memory::Admission;
+use crate::memory::{Admission, Reservation};
 
 /// Smaller answers are not counted.
 const SMALL: usize = 16 << 10;
@@ -43,13 +43,12 @@ impl Unread {
     /// Makes a body of an answer. A client that holds no other one gets an answer of any size.
     ///
     /// # Errors
-    /// The client has not read earlier answers, all clients together have not, or the host memory is full.
+    /// The client has not read earlier answers, or all clients together have not.
     pub fn hold(&self, client: Client, bytes: Bytes, memory: &Admission) -> Result<Body, Problem> {
         let length = bytes.len() as u64;
         if bytes.len() <= SMALL {
             return Ok(Body::from(bytes));
         }
-        let busy = |text: &str| Problem::new(Kind::Busy, text).retry_after(RETRY);
         {
             let mut held = self.held.lock();
             let own = held.get(&client).copied().unwrap_or_default();
@@ -60,13 +59,15 @@ impl Unread {
                     .retry_after(RETRY));
             }
             if held.values().sum::<u64>() + length > self.most_of_all {
-                return Err(busy("too many answers have not been read yet"));
+                let text = "too many answers have not been read yet";
+                return Err(Problem::new(Kind::Busy, text).retry_after(RETRY));
             }
             *held.entry(client).or_default() += length;
         }
         let share = Share { client, length, held: self.held.clone() };
-        memory.grow("an answer", length).map_err(|_| busy("the memory is full"))?;
-        let owner = Owner { bytes, _share: share, _memory: memory.keep(length) };
+        // Scenes may take the whole budget; frames of them are answered all the same.
+        let memory = memory.grow("an answer", length).ok().map(|()| memory.keep(length));
+        let owner = Owner { bytes, _share: share, _memory: memory };
         Ok(Body::new(Pieces(Bytes::from_owner(owner))))
     }
 }
@@ -94,7 +95,7 @@ impl Drop for Share {
 struct Owner {
     bytes: Bytes,
     _share: Share,
-    _memory: crate::memory::Reservation,
+    _memory: Option<Reservation>,
 }
 
 impl AsRef<[u8]> for Owner {
@@ -168,12 +169,13 @@ mod tests {
     }
 
     #[test]
-    fn a_full_memory_refuses_and_leaves_nothing_behind() {
+    fn a_full_memory_refuses_no_frame() {
         let memory = HostMemory::new(1 << 20);
         let unread = Unread::new(memory.budget());
         let image = Bytes::from(vec![0_u8; 2 << 20]);
-        let refused = unread.hold(Client::Unnamed, image, &Admission::new(&memory)).unwrap_err();
-        assert_eq!((refused.kind, memory.in_use()), (Kind::Busy, 0));
+        let body = unread.hold(Client::Unnamed, image, &Admission::new(&memory)).unwrap();
+        assert_eq!((memory.in_use(), unread.held.lock().len()), (0, 1));
+        drop(body);
         assert!(unread.held.lock().is_empty());
     }
 }
