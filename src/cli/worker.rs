@@ -121,10 +121,7 @@ pub fn run(args: WorkerArgs) -> anyhow::Result<()> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     runtime.block_on(async {
         let signal = stop_signal()?;
-        store
-            .try_writing(&crate::engine::RequestId::fresh().to_string())
-            .await
-            .context("a worker must be able to write to the store")?;
+        store.try_writing().await.context("a worker must be able to write to the store")?;
         let worker = Worker::new(&address, store, engine.clone(), &root).await?;
         say!("drawing frames on {} for {}", engine.adapter(), address.without_secrets());
         let stop = Arc::new(AtomicBool::new(false));

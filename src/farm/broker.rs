@@ -8,7 +8,7 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use async_nats::connection::State;
 use async_nats::jetstream::consumer::{AckPolicy, PullConsumer, pull};
@@ -19,13 +19,13 @@ use async_nats::jetstream::{self, Message};
 use async_nats::{Client, ClientError, ConnectOptions, Event, ServerAddr, Subscriber};
 use bytes::Bytes;
 use futures::StreamExt;
-use parking_lot::Mutex;
 use percent_encoding::percent_decode_str;
 use serde::Serialize;
 use tokio::net::TcpStream;
 use tokio_rustls::rustls::pki_types::CertificateDer;
 use tokio_rustls::rustls::pki_types::pem::PemObject;
 
+use super::Said;
 use super::messages::{RUNS, Run, STREAM, runs, runs_of};
 use super::pacing::{ACK_WAIT, PULL};
 
@@ -41,8 +41,6 @@ const LOOKS: usize = 5;
 const LOOK_AGAIN: Duration = Duration::from_millis(500);
 /// Time limit of a look at whether the server takes connections.
 const PROBE: Duration = Duration::from_secs(2);
-/// Interval at which the log repeats a failure that lasts.
-pub(super) const SAY_AGAIN: Duration = Duration::from_secs(60);
 /// Age at which the server forgets a run that nobody draws.
 const MOST_AGE: Duration = Duration::from_secs(14 * 24 * 3600);
 /// Runs that workers of a kind may draw at a time.
@@ -101,34 +99,10 @@ fn failed<E: std::fmt::Display>(what: &'static str) -> impl FnOnce(E) -> BrokerE
 
 /// Checks that a file has certificates.
 fn check_certificates(file: &std::path::Path) -> Result<(), String> {
-    let certificates = CertificateDer::pem_file_iter(file).map_err(|error| error.to_string())?;
-    let mut found = 0;
-    for certificate in certificates {
-        certificate.map_err(|error| error.to_string())?;
-        found += 1;
-    }
-    if found == 0 { Err("there are none in the file".to_owned()) } else { Ok(()) }
-}
-
-/// A text that the log repeats only after a while.
-#[derive(Default)]
-pub(super) struct Said(Mutex<Option<(String, Instant)>>);
-
-impl Said {
-    /// Returns whether the text is new, or was last logged long ago.
-    pub fn is_due(&self, text: &str) -> bool {
-        let mut said = self.0.lock();
-        let is_known = |(known, at): &(String, Instant)| known == text && at.elapsed() < SAY_AGAIN;
-        if said.as_ref().is_some_and(is_known) {
-            return false;
-        }
-        *said = Some((text.to_owned(), Instant::now()));
-        true
-    }
-
-    pub fn forget(&self) {
-        *self.0.lock() = None;
-    }
+    let found = CertificateDer::pem_file_iter(file)
+        .and_then(Iterator::collect::<Result<Vec<_>, _>>)
+        .map_err(|error| error.to_string())?;
+    if found.is_empty() { Err("there are none in the file".to_owned()) } else { Ok(()) }
 }
 
 /// Logs what happens to a connection.
@@ -427,14 +401,6 @@ mod tests {
         let file = tempfile::NamedTempFile::new().unwrap();
         let none = refusal(file.path().to_str().unwrap()).await;
         assert!(none.contains("there are none in the file"), "{none}");
-    }
-
-    #[test]
-    fn what_lasts_is_said_once() {
-        let said = Said::default();
-        assert!(said.is_due("a") && !said.is_due("a") && said.is_due("b") && said.is_due("a"));
-        said.forget();
-        assert!(said.is_due("a"));
     }
 
     #[tokio::test]

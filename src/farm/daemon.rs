@@ -12,14 +12,14 @@ use sha2::{Digest, Sha256};
 use tokio::runtime::Handle;
 use tokio::sync::OnceCell;
 
-use super::broker::{Address, Broker, BrokerError, Queued, Said};
+use super::broker::{Address, Broker, BrokerError, Queued};
 use super::bundle::{Hashes, pack};
 use super::desk::Desk;
 use super::messages::{BEATS, Beat, FilmOrder, Note, Run, notes};
 use super::pacing::{LIST_AFTER, MOST_NOTES, READS, TICK};
 use super::roster::Roster;
 use super::store::{Store, StoreError};
-use super::{kind_of, stopped};
+use super::{Said, kind_of, stopped};
 use crate::engine::{Engine, RequestId};
 use crate::film::manifest::digits;
 use crate::film::{Drawn, FilmError, Keep};

@@ -35,17 +35,22 @@ mod worker;
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 pub use broker::{Address, BrokerError};
 pub use daemon::Farm;
 pub use store::{Store, StoreError};
 pub use worker::Worker;
 
+use parking_lot::Mutex;
+
 use crate::engine::RequestId;
 
 /// Interval at which a task looks whether it is to stop.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
+
+/// Interval at which the log repeats a failure that lasts.
+const SAY_AGAIN: Duration = Duration::from_secs(60);
 
 /// Returns the lasting name of a daemon, which is kept in its state folder.
 ///
@@ -70,6 +75,27 @@ fn kind_of(identity: &str, mark: &str) -> String {
     format!("{identity}-{mark}")
 }
 
+/// A text that the log repeats only after a while.
+#[derive(Default)]
+struct Said(Mutex<Option<(String, Instant)>>);
+
+impl Said {
+    /// Returns whether the text is new, or was last logged long ago.
+    fn is_due(&self, text: &str) -> bool {
+        let mut said = self.0.lock();
+        let is_known = |(known, at): &(String, Instant)| known == text && at.elapsed() < SAY_AGAIN;
+        if said.as_ref().is_some_and(is_known) {
+            return false;
+        }
+        *said = Some((text.to_owned(), Instant::now()));
+        true
+    }
+
+    fn forget(&self) {
+        *self.0.lock() = None;
+    }
+}
+
 /// Waits until `stop` is true.
 async fn stopped(stop: &AtomicBool) {
     while !stop.load(Ordering::Relaxed) {
@@ -80,6 +106,14 @@ async fn stopped(stop: &AtomicBool) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_lasts_is_said_once() {
+        let said = Said::default();
+        assert!(said.is_due("a") && !said.is_due("a") && said.is_due("b") && said.is_due("a"));
+        said.forget();
+        assert!(said.is_due("a"));
+    }
 
     #[test]
     fn daemons_keep_their_names() {

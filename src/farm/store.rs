@@ -190,8 +190,8 @@ impl Store {
     }
 
     /// Writes an object and removes it again, to find out whether that is allowed.
-    pub async fn try_writing(&self, name: &str) -> Result<(), StoreError> {
-        let trial = Path::from("trials").join(name);
+    pub async fn try_writing(&self) -> Result<(), StoreError> {
+        let trial = Path::from("trials").join(RequestId::fresh().to_string());
         self.put(&trial, Bytes::from_static(b"trial")).await?;
         absent(self.tried(|| self.objects.delete(&trial)).await)?;
         Ok(())

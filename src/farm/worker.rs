@@ -15,14 +15,14 @@ use futures::{StreamExt, TryStreamExt, stream};
 use parking_lot::Mutex;
 use sha2::{Digest, Sha256};
 
-use super::broker::{Address, Broker, BrokerError, Said, pull};
+use super::broker::{Address, Broker, BrokerError, pull};
 use super::bundle::unpack;
 use super::messages::{Beat, Bundle, FilmOrder, Note, Run, beats, notes};
 use super::pacing::{
     ACK_WAIT, BEAT, MOST_TRIES, PROGRESS, STORES, UNSTORED, Verdict, judge, may_be_stored,
 };
 use super::store::{Store, StoreError};
-use super::{kind_of, stopped};
+use super::{Said, kind_of, stopped};
 use crate::engine::{Client, Engine, EngineError, RequestId};
 use crate::film::manifest::digits;
 use crate::film::{self, Drawn, Film, FilmError, Wanted};

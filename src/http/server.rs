@@ -290,37 +290,12 @@ const SIGTERM: &str = "SIGTERM";
 /// Waits for SIGTERM, SIGINT, or the end of the terminal, for commands other than the daemon. Needs a runtime. From this call on, these signals no
 /// longer end the process. SIGHUP is ignored where standard error is no terminal.
 pub fn stop_signal() -> std::io::Result<impl Future<Output = &'static str>> {
-    #[cfg(unix)]
-    {
-        use std::io::IsTerminal;
-        use tokio::signal::unix::{SignalKind, signal};
-        let mut terminate = signal(SignalKind::terminate())?;
-        let mut interrupt = signal(SignalKind::interrupt())?;
-        let mut hangup = signal(SignalKind::hangup())?;
-        let has_terminal = std::io::stderr().is_terminal();
-        Ok(async move {
-            loop {
-                tokio::select! {
-                    _ = terminate.recv() => return SIGTERM,
-                    _ = interrupt.recv() => return "SIGINT",
-                    _ = hangup.recv() => {
-                        if has_terminal {
-                            return "SIGHUP";
-                        }
-                        tracing::info!("SIGHUP: there are no files to read again");
-                    }
-                }
-            }
-        })
-    }
-    #[cfg(not(unix))]
-    Ok(async {
-        let _ = tokio::signal::ctrl_c().await;
-        "interrupt"
-    })
+    let mut signals = Signals::new()?;
+    let nothing = || tracing::info!("SIGHUP: there are no files to read again");
+    Ok(async move { signals.stop_or(nothing).await })
 }
 
-/// Signals to the daemon; once this exists, they no longer end the process by themselves.
+/// Signals to the process; once this exists, they no longer end the process by themselves.
 #[cfg(unix)]
 struct Signals {
     terminate: tokio::signal::unix::Signal,
@@ -346,6 +321,16 @@ impl Signals {
 
     /// Waits for a signal to stop and returns its name. A hangup that is no such signal has the rules read again.
     async fn stop(&mut self, app: &Arc<App>) -> &'static str {
+        // Neither a disk that hangs nor requests that keep all other threads busy may hold up a signal.
+        let reload = || {
+            let app = app.clone();
+            apart("reload", move || app.reload());
+        };
+        self.stop_or(reload).await
+    }
+
+    /// Waits for a signal to stop and returns its name. `hang_up` is called at each hangup that is no such signal.
+    async fn stop_or(&mut self, hang_up: impl Fn()) -> &'static str {
         loop {
             tokio::select! {
                 _ = self.terminate.recv() => return SIGTERM,
@@ -354,9 +339,7 @@ impl Signals {
                     if self.has_terminal {
                         return "SIGHUP";
                     }
-                    // Neither a disk that hangs nor requests that keep all other threads busy may hold up a signal.
-                    let app = app.clone();
-                    apart("reload", move || app.reload());
+                    hang_up();
                 }
             }
         }
@@ -382,6 +365,10 @@ impl Signals {
     }
 
     async fn stop(&mut self, _: &App) -> &'static str {
+        self.stop_or(|| ()).await
+    }
+
+    async fn stop_or(&mut self, _: impl Fn()) -> &'static str {
         let _ = tokio::signal::ctrl_c().await;
         "interrupt"
     }
