@@ -178,6 +178,7 @@ pub fn missing(app: &App, id: &str, problem: Problem) -> Problem {
                 .retry_after(Duration::from_secs(1))
         }
         Some(super::registry::Entry::Failed { problem, .. }) => problem,
+        Some(super::registry::Entry::Removing { .. }) => problem,
         None if super::upload::follow::is_coming(app, id) => Problem::new(
             Kind::SceneLoading,
             format!("scene `{id}` was uploaded and is not loaded yet"),

@@ -45,6 +45,10 @@ pub enum Entry {
         source: Option<Source>,
         load: Load,
     },
+    /// A removal deletes the files of the id, and then its scene.
+    Removing {
+        load: Load,
+    },
 }
 
 /// One load, or one removal, of an id.
@@ -92,13 +96,15 @@ pub enum SceneState {
 }
 
 impl SceneState {
-    pub fn of(id: String, entry: Entry) -> Self {
+    /// Returns the state of a scene that the engine does not have; `None` if it is being removed.
+    pub fn of(id: String, entry: Entry) -> Option<Self> {
         match entry {
             Entry::Loading { since, .. } => {
                 let loading_ms = u64::try_from(since.elapsed().as_millis()).unwrap_or(u64::MAX);
-                SceneState::Loading { id, loading_ms }
+                Some(SceneState::Loading { id, loading_ms })
             }
-            Entry::Failed { problem, .. } => SceneState::Failed { id, problem },
+            Entry::Failed { problem, .. } => Some(SceneState::Failed { id, problem }),
+            Entry::Removing { .. } => None,
         }
     }
 }
@@ -137,7 +143,7 @@ impl Registry {
                 .at("id")
                 .accepted("an unused id, or DELETE the scene first"));
         }
-        Ok(self.hold(&mut entries, id, admission, Ended::Gone))
+        Ok(self.hold_loading(&mut entries, id, admission))
     }
 
     /// Reserves the id of a failed load that can be repeated.
@@ -145,7 +151,7 @@ impl Registry {
         let mut entries = self.entries.lock();
         let Entry::Failed { source: Some(source), .. } = entries.get(id)? else { return None };
         let source = source.clone();
-        Some((self.hold(&mut entries, id, admission, Ended::Gone), source))
+        Some((self.hold_loading(&mut entries, id, admission), source))
     }
 
     /// Reserves an id whose scene is to be removed. `loaded` returns the scene's number if the engine has it. Unless the reservation
@@ -157,14 +163,15 @@ impl Registry {
     ) -> Option<Reservation> {
         let mut entries = self.entries.lock();
         let before = match entries.get(id) {
-            Some(Entry::Loading { .. }) => return None,
+            Some(Entry::Loading { .. } | Entry::Removing { .. }) => return None,
             before => before.cloned(),
         };
         let outcome = match before {
             Some(_) => Ended::Failed,
             None => loaded(id).map_or(Ended::Gone, Ended::Loaded),
         };
-        let mut claim = self.hold(&mut entries, id, Admission::default(), outcome);
+        let removing = |load| Entry::Removing { load };
+        let mut claim = self.hold(&mut entries, id, Admission::default(), outcome, removing);
         claim.after = before;
         Some(claim)
     }
@@ -175,17 +182,28 @@ impl Registry {
         claim.is_failure_of(load).then_some(claim)
     }
 
+    fn hold_loading(
+        &self,
+        entries: &mut HashMap<String, Entry>,
+        id: &str,
+        admission: Admission,
+    ) -> Reservation {
+        let loads = admission.clone();
+        let entry = |load| Entry::Loading { since: Instant::now(), admission: loads, load };
+        self.hold(entries, id, admission, Ended::Gone, entry)
+    }
+
     fn hold(
         &self,
         entries: &mut HashMap<String, Entry>,
         id: &str,
         admission: Admission,
         outcome: Ended,
+        entry: impl FnOnce(Load) -> Entry,
     ) -> Reservation {
         let (ended, receiver) = watch::channel(None);
-        let (load, since) = (Load(receiver), Instant::now());
-        let entry = Entry::Loading { since, admission: admission.clone(), load: load.clone() };
-        entries.insert(id.to_owned(), entry);
+        let load = Load(receiver);
+        entries.insert(id.to_owned(), entry(load.clone()));
         let (registry, id) = (self.clone(), id.to_owned());
         Reservation { registry, id, admission, load, ended, outcome, after: None }
     }
@@ -202,14 +220,16 @@ impl Registry {
         list
     }
 
-    /// Cancels the load of `id`, which ends at its next step, and returns it. Returns `None` where nothing is loading.
+    /// Cancels the load of `id`, which ends at its next step, and returns it. Returns a removal as it is. Returns `None` where
+    /// neither is in progress.
     pub fn cancel(&self, id: &str) -> Option<Load> {
         match self.entries.lock().get(id) {
             Some(Entry::Loading { admission, load, .. }) => {
                 admission.cancel();
                 Some(load.clone())
             }
-            _ => None,
+            Some(Entry::Removing { load, .. }) => Some(load.clone()),
+            Some(Entry::Failed { .. }) | None => None,
         }
     }
 }
@@ -349,6 +369,9 @@ mod tests {
         let claim = registry.claim_failure("a", &load).unwrap();
         assert_eq!(reserve(&registry, "a").err().unwrap().status(), 409);
         assert!(registry.claim("a", |_| None).is_none());
+        let removing = registry.get("a").unwrap();
+        assert!(matches!(removing, Entry::Removing { .. }));
+        assert!(SceneState::of("a".to_owned(), removing).is_none());
         // A removal that fails leaves everything as it was.
         let removal = registry.cancel("a").unwrap();
         drop(claim);

@@ -39,7 +39,7 @@ pub async fn list(State(app): State<Arc<App>>, _: NoQuery) -> Json<SceneList> {
         app.engine.scenes().into_iter().map(|info| SceneState::Ready(Box::new(info))).collect();
     // A scene that is being removed, or has just been loaded, is in both.
     let others = entries.into_iter().filter(|(id, _)| app.engine.load_number(id).is_none());
-    scenes.extend(others.map(|(id, entry)| SceneState::of(id, entry)));
+    scenes.extend(others.filter_map(|(id, entry)| SceneState::of(id, entry)));
     Json(SceneList { scenes })
 }
 
@@ -62,7 +62,7 @@ pub async fn show(
     match app.engine.scene(&id) {
         Ok(info) => Ok(Json(SceneState::Ready(Box::new(info)))),
         Err(error) => match entry {
-            Some(entry) => Ok(Json(SceneState::of(id, entry))),
+            Some(entry) => SceneState::of(id, entry).map(Json).ok_or_else(|| error.into()),
             None if upload::follow::is_coming(&app, &id) => {
                 Ok(Json(SceneState::Loading { id, loading_ms: 0 }))
             }

@@ -153,6 +153,9 @@ pub async fn retry(
         Some(Entry::Loading { .. }) => {
             return Err(Problem::new(Kind::SceneLoading, format!("scene `{id}` is being loaded")));
         }
+        Some(Entry::Removing { .. }) => {
+            return Err(Problem::new(Kind::SceneLoading, format!("scene `{id}` is being removed")));
+        }
         None => {
             app.engine.scene(&id)?;
             return Err(Problem::new(Kind::SceneExists, format!("scene `{id}` is loaded")));
