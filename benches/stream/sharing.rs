@@ -12,7 +12,7 @@ use super::common::client::Connection;
 use super::common::daemon::Daemon;
 use super::common::report::{Bound, Report, number};
 use super::common::stream::Stream;
-use super::common::{self, median, median_ratio, ms, pick};
+use super::common::{self, median, median_ratio, ms, pick, quantile};
 use super::{QUALITY, SCENE, frame_path, open, pose, start_job};
 
 const GPU_SECONDS: &str = "pointillist_engine_gpu_seconds_total";
@@ -166,32 +166,32 @@ fn device_ms_of(receipt: &Value) -> f64 {
     ms(receipt["gpu_ns"].as_u64().unwrap_or(0)) / together as f64
 }
 
-/// Measures a client that asks for one frame after the other, alone and beside a job of as dear frames, in turns.
+/// Measures clients that wait for each frame before they ask for the next, alone and beside a job of as dear frames, in turns. They ask
+/// at once or, as people and control loops do, `PACE` times a second, which leaves the device idle between frames.
 pub fn beside(report: &mut Report, daemon: &Daemon) -> anyhow::Result<()> {
-    let seconds = pick(8.0, 0.5);
+    const PACE: f64 = 10.0;
+    let seconds = pick(12.0, 0.5);
     let mut client = daemon.connect()?;
+    // Both return the time that each frame took, in milliseconds.
     let mut degrees = 0.0;
-    let mut requests = || -> anyhow::Result<f64> {
-        let (mut connection, began, mut frames) = (daemon.connect()?, Instant::now(), 0u32);
-        while began.elapsed().as_secs_f64() < seconds {
+    let mut requests = |pace: Option<f64>| -> anyhow::Result<Vec<f64>> {
+        let mut connection = daemon.connect()?;
+        timed(seconds, pace, || {
             degrees += 0.37;
             let answer = connection.get(&frame_path(degrees), "")?;
             ensure!(answer.status == 200, "a frame was answered with {}", answer.status);
-            frames += 1;
-        }
-        Ok(f64::from(frames) / began.elapsed().as_secs_f64())
+            Ok(())
+        })
     };
-    let poses = || -> anyhow::Result<f64> {
-        let (mut stream, began, mut frames) = (open(daemon.address)?, Instant::now(), 0u32);
-        while began.elapsed().as_secs_f64() < seconds {
+    let mut poses = |pace: Option<f64>| -> anyhow::Result<Vec<f64>> {
+        let mut stream = open(daemon.address)?;
+        timed(seconds, pace, || {
             let seq = stream.next_seq();
             // At rest, so that frames are what they are alone.
             stream.send(&pose(seq, 0.4 * seq as f64 + 0.1 * seconds, false))?;
             let frame = stream.frame_of(seq)?;
-            stream.acknowledge(&frame)?;
-            frames += 1;
-        }
-        Ok(f64::from(frames) / began.elapsed().as_secs_f64())
+            stream.acknowledge(&frame)
+        })
     };
     let drawn = |client: &mut Connection, place: &str| -> anyhow::Result<f64> {
         let job: Value = serde_json::from_slice(&client.get(place, "")?.body)?;
@@ -204,49 +204,105 @@ pub fn beside(report: &mut Report, daemon: &Daemon) -> anyhow::Result<()> {
     let of_job = (drawn(&mut client, &place)? - before) / began.elapsed().as_secs_f64();
     ensure!(client.post(&format!("{place}/cancel"), &json!({}))?.status < 300, "no cancel");
     let mut rows = Vec::new();
-    type Ask<'a> = &'a mut dyn FnMut() -> anyhow::Result<f64>;
-    let asks: [(&str, Ask<'_>); 2] =
-        [("requests", &mut requests), ("a stream, one pose at a time", &mut { poses })];
+    type Ask<'a> = &'a mut dyn FnMut(Option<f64>) -> anyhow::Result<Vec<f64>>;
+    let asks: [(&str, Ask<'_>); 2] = [("requests", &mut requests), ("a stream", &mut poses)];
     for (name, ask) in asks {
-        let (mut alone, mut together, mut left) = (Vec::new(), Vec::new(), Vec::new());
-        for _ in 0..pick(3, 1) {
-            alone.push(ask()?);
-            let place = start_job(&mut client, 200.0)?;
-            // Nothing of the job is drawn yet, and then it is.
-            while drawn(&mut client, &place)? < 1.0 {
-                std::thread::sleep(Duration::from_millis(20));
+        for pace in [None, Some(PACE)] {
+            let (mut alone, mut together, mut left) = (Vec::new(), Vec::new(), Vec::new());
+            for _ in 0..pick(3, 1) {
+                alone.push(ask(pace)?);
+                let place = start_job(&mut client, 200.0)?;
+                // Nothing of the job is drawn yet, and then it is.
+                while drawn(&mut client, &place)? < 1.0 {
+                    std::thread::sleep(Duration::from_millis(20));
+                }
+                let (began, before) = (Instant::now(), drawn(&mut client, &place)?);
+                together.push(ask(pace)?);
+                left.push((drawn(&mut client, &place)? - before) / began.elapsed().as_secs_f64());
+                let cancelled = client.post(&format!("{place}/cancel"), &json!({}))?;
+                ensure!(cancelled.status < 300, "no cancel");
             }
-            let (began, before) = (Instant::now(), drawn(&mut client, &place)?);
-            together.push(ask()?);
-            left.push((drawn(&mut client, &place)? - before) / began.elapsed().as_secs_f64());
-            ensure!(client.post(&format!("{place}/cancel"), &json!({}))?.status < 300, "no cancel");
+            let name = match pace {
+                None => format!("{name}, one frame after the other"),
+                Some(pace) => format!("{name}, {pace} frames a second"),
+            };
+            let rates = |times: &[Vec<f64>]| -> Vec<f64> {
+                times
+                    .iter()
+                    .map(|times| 1e3 / (times.iter().sum::<f64>() / times.len() as f64))
+                    .collect()
+            };
+            let [kept, share] =
+                [median_ratio(&rates(&together), &rates(&alone)), median(&left) / of_job];
+            let times = |times: Vec<Vec<f64>>| times.into_iter().flatten().collect::<Vec<f64>>();
+            let [alone, together] = [times(alone), times(together)];
+            let late = quantile(&together, 0.99) / quantile(&alone, 0.99);
+            let ms = |share: f64| [&alone, &together].map(|times| number(quantile(times, share)));
+            let ([half, half_beside], [most, most_beside]) = (ms(0.5), ms(0.99));
+            rows.push(vec![
+                name.clone(),
+                half,
+                half_beside,
+                most,
+                most_beside,
+                number(late),
+                number(kept),
+                number(share),
+            ]);
+            match pace {
+                // A job has its share of the device, so some frames wait for one of the job's.
+                None => report.target(
+                    &format!("{name}: rate beside a job, of the rate alone"),
+                    Some(kept),
+                    Bound::AtLeast(0.85),
+                    "",
+                ),
+                Some(_) => report.target(
+                    &format!("{name}: 99th percentile beside a job, of that alone"),
+                    Some(late),
+                    Bound::AtMost(1.1),
+                    "",
+                ),
+            }
+            report.target(
+                &format!("{name}: what the job keeps of its rate"),
+                Some(share),
+                Bound::AtLeast(0.05),
+                "",
+            );
         }
-        let kept = median_ratio(&together, &alone);
-        let share = median(&left) / of_job;
-        rows.push(vec![
-            name.to_owned(),
-            number(median(&alone)),
-            number(median(&together)),
-            number(kept),
-            number(share),
-        ]);
-        report.target(
-            &format!("{name}: rate beside a job, of the rate alone"),
-            Some(kept),
-            Bound::AtLeast(0.85),
-            "",
-        );
-        report.target(
-            &format!("{name}: what the job keeps of its rate"),
-            Some(share),
-            Bound::AtLeast(0.05),
-            "",
-        );
     }
     report.table(
-        "One frame after the other, alone and beside a job",
-        &["client", "frames/s alone", "beside", "kept", "job's rate, of its own alone"],
+        "Clients that wait for each frame, alone and beside a job (median and 99th percentile in ms)",
+        &[
+            "client",
+            "median alone",
+            "beside",
+            "99 % alone",
+            "beside",
+            "ratio of 99 %",
+            "rate kept",
+            "job's rate, of its own alone",
+        ],
         &rows,
     );
     Ok(())
+}
+
+/// Asks again and again for `seconds`, at most `pace` times a second, and returns the times in milliseconds.
+fn timed(
+    seconds: f64,
+    pace: Option<f64>,
+    mut ask: impl FnMut() -> anyhow::Result<()>,
+) -> anyhow::Result<Vec<f64>> {
+    let (began, mut times) = (Instant::now(), Vec::new());
+    while began.elapsed().as_secs_f64() < seconds {
+        let asked = Instant::now();
+        ask()?;
+        times.push(asked.elapsed().as_secs_f64() * 1e3);
+        if let Some(pace) = pace {
+            std::thread::sleep(Duration::from_secs_f64(1.0 / pace).saturating_sub(asked.elapsed()));
+        }
+    }
+    Ok(times)
 }

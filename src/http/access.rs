@@ -90,6 +90,33 @@ impl ApiKey {
     pub fn credentials(&self) -> [Option<[u8; 32]>; 2] {
         [Some(self.hash), self.url_secret.as_ref().map(Secret::digest)]
     }
+
+    /// Whether both keys let the same requests in, with the same limits.
+    fn is_same(&self, other: &ApiKey) -> bool {
+        let allowed = |key: &ApiKey| (key.scope, key.expires, key.quotas);
+        self.credentials() == other.credentials() && allowed(self) == allowed(other)
+    }
+}
+
+impl Access {
+    /// Returns which keys `next` adds, removes or changes, by their names, each as in `anna added`.
+    pub fn changes(&self, next: &Access) -> Vec<String> {
+        fn keys(access: &Access) -> &[ApiKey] {
+            match access {
+                Access::Open { .. } => &[],
+                Access::Keys(keys) => keys,
+            }
+        }
+        let (before, after) = (keys(self), keys(next));
+        let added =
+            after.iter().filter_map(|key| match before.iter().find(|old| old.name == key.name) {
+                None => Some(format!("{} added", key.name)),
+                Some(old) => (!key.is_same(old)).then(|| format!("{} changed", key.name)),
+            });
+        let is_removed = |old: &&ApiKey| !after.iter().any(|key| key.name == old.name);
+        let removed = before.iter().filter(is_removed);
+        added.chain(removed.map(|key| format!("{} removed", key.name))).collect()
+    }
 }
 
 impl From<Problem> for Refused {

@@ -346,13 +346,21 @@ pub struct Notice {
     event: &'static str,
     /// What was read again.
     subject: &'static str,
+    /// What differs from the last reading.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    changes: Vec<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     error: Option<String>,
 }
 
 impl Notice {
-    pub fn new(event: &'static str, subject: &'static str, error: Option<String>) -> Notice {
-        Notice { time: now(), event, subject, error }
+    /// A reload of `subject`, with what has changed or why it was refused.
+    pub fn reload(subject: &'static str, read: Result<Vec<String>, String>) -> Notice {
+        let (event, changes, error) = match read {
+            Ok(changes) => ("reload", changes, None),
+            Err(error) => ("reload-refused", Vec::new(), Some(error)),
+        };
+        Notice { time: now(), event, subject, changes, error }
     }
 }
 

@@ -22,7 +22,7 @@ pub struct Rules {
 }
 
 /// Limits that a reload may change. Open streams, connections and stored uploads beyond a new limit stay.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Bounds {
     /// Proxies whose `X-Forwarded-For` is believed.
     pub trusted_proxies: Vec<ipnet::IpNet>,
@@ -52,7 +52,8 @@ impl<T> std::fmt::Debug for Reader<T> {
 pub struct Reread {
     pub access: Option<Reader<Access>>,
     pub tls: Option<Reader<Tls>>,
-    pub bounds: Option<Reader<Bounds>>,
+    /// The limits, and what has changed since they were last read, each as in `max-streams 64 to 32`.
+    pub bounds: Option<Reader<(Bounds, Vec<String>)>>,
 }
 
 impl App {
@@ -81,18 +82,25 @@ impl App {
         }
         if let Some(read) = access {
             let read = read.0().map(|access| {
+                let changes = self.rules().access.changes(&access);
                 self.know_keys(&access);
                 self.put_in_force(|rules| Rules { access, ..rules });
+                changes
             });
             self.tell_reload("API keys", "keys", read);
         }
         if let Some(read) = tls {
-            let read =
-                read.0().map(|tls| self.put_in_force(|rules| Rules { tls: Some(tls), ..rules }));
+            let read = read.0().map(|tls| {
+                self.put_in_force(|rules| Rules { tls: Some(tls), ..rules });
+                Vec::new()
+            });
             self.tell_reload("certificates", "certificates", read);
         }
         if let Some(read) = bounds {
-            let read = read.0().map(|bounds| self.put_in_force(|rules| Rules { bounds, ..rules }));
+            let read = read.0().map(|(bounds, changes)| {
+                self.put_in_force(|rules| Rules { bounds, ..rules });
+                changes
+            });
             self.tell_reload("limits", "limits", read);
         }
     }
@@ -102,14 +110,13 @@ impl App {
         *rules = Arc::new(change(Rules::clone(&rules)));
     }
 
-    /// Logs the outcome of a reload of `what`.
-    fn tell_reload(&self, what: &str, subject: &'static str, read: Result<(), String>) {
-        let error = read.err();
-        match &error {
-            None => tracing::info!("{what} read again"),
-            Some(error) => tracing::error!(error, "the {what} in force stay"),
+    /// Logs the outcome of a reload of `what`, with what has changed.
+    fn tell_reload(&self, what: &str, subject: &'static str, read: Result<Vec<String>, String>) {
+        match &read {
+            Ok(changes) if changes.is_empty() => tracing::info!("{what} read again"),
+            Ok(changes) => tracing::info!("{what} read again: {}", changes.join(", ")),
+            Err(error) => tracing::error!(error, "the {what} in force stay"),
         }
-        let event = if error.is_none() { "reload" } else { "reload-refused" };
-        self.audit(&Notice::new(event, subject, error));
+        self.audit(&Notice::reload(subject, read));
     }
 }

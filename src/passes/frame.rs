@@ -295,7 +295,10 @@ pub fn frame_record(task: &FrameTask, scene: &ResidentScene, number: u32) -> Gpu
         slab_meet: slabs.meet as f32,
         slab_meet_log2: slabs.meet.log2() as f32,
         slab_per_octave: slabs.per_octave as f32,
-        lod_scale: task.node_error_px() / view.focal_px.max_element() as f32,
+        lod_scale: match task.model.trees {
+            true => task.node_error_px() / view.focal_px.max_element() as f32,
+            false => 0.0,
+        },
         entry_capacity: task.entry_capacity,
         instance_groups: scene.instance_groups(),
         segment_count: scene.pages.len() as u32,

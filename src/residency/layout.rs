@@ -315,6 +315,7 @@ pub struct GpuFrame {
     pub slab_meet: f32,
     pub slab_meet_log2: f32,
     pub slab_per_octave: f32,
+    /// Accepted error of point trees at a depth of 1, in scene units; 0 in full detail.
     pub lod_scale: f32,
     pub entry_capacity: u32,
     pub instance_groups: u32,

@@ -148,6 +148,8 @@ fn keys_expire_and_have_limits() {
     std::fs::write(&keys, table("slow", "read", "")).unwrap();
     hang_up(daemon.id());
     eventually("new keys", || get("free", "/v1/scenes").status == 401);
+    let told = "API keys read again: slow changed, old removed, poor removed, free removed";
+    eventually("what has changed", || daemon.log().lines().any(|line| line.ends_with(told)));
     assert!((0..5).all(|_| get("slow", "/v1/scenes").status == 200));
 }
 
@@ -561,6 +563,10 @@ fn a_hangup_puts_new_limits_in_force() {
     );
     hang_up(daemon.id());
     eventually("new limits", || limits() == (2, 2));
+    // The flag wins over the file's watchers, so these have not changed.
+    let told = "limits read again: max-connections-per-address its default to 100, \
+        max-streams 7 to 2, max-uploads 1 to 2";
+    eventually("what has changed", || daemon.log().lines().any(|line| line.ends_with(told)));
     assert_eq!((upload("two"), upload("three")), (201, 429));
     let watchers = client.get("/v1/limits").json()["jobs"]["max_watchers"].clone();
     assert!(watchers.is_null() || watchers == 9, "{watchers}");

@@ -9,7 +9,8 @@ use pointillist::engine::{FrameRequest, Pose, Receipt};
 use pointillist::math::View;
 use pointillist::oracle::{self, OracleScene};
 use pointillist::plan::{
-    Lod, Output, Pass, Reconstruct, Reconstruction, Settings, ShadowPx, Shadows,
+    Antialias, Lod, MaxError, Output, Pass, Reconstruct, Reconstruction, Settings, ShadowPx,
+    Shadows,
 };
 use serde_json::{Value, json};
 
@@ -103,6 +104,30 @@ fn meshes_cast_shadows_with_hard_and_soft_edges() {
             over_floor(&format!("shadow-{name}"), file, json!({ "file": "ball.ply" }), suns(angle));
         for eye in [[0.4, 1.4, 4.6], [3.5, 2.5, -2.0]] {
             check(&case, &look(eye, [0.0, -0.4, 0.0], 55.0), splats(), 40);
+        }
+    }
+}
+
+/// The accepted error and the reconstruction change no shadow of a mesh in full detail, with antialiasing either.
+#[test]
+fn shadows_of_full_detail_have_no_accepted_error() {
+    let file = ("ball.ply", Shape::ball(24, 0.9).ply());
+    let case = over_floor("shadow-full", file, json!({ "file": "ball.ply" }), suns(0.53));
+    let view = look([0.4, 1.4, 4.6], [0.0, -0.4, 0.0], 55.0);
+    for antialias in [Antialias::Off, Antialias::Parts4] {
+        let with = |reconstruct, px| {
+            let max_error_px = MaxError::new(px).unwrap();
+            let plain = Settings::drawn_as(reconstruct);
+            case.draw_with(&view, Settings { antialias, max_error_px, ..plain })
+        };
+        let points = with(Reconstruct::Points, 1.0);
+        assert!(has_maps(&points));
+        for (reconstruct, px) in
+            [(Reconstruct::Splats, 1.0), (Reconstruct::Splats, 16.0), (Reconstruct::Points, 16.0)]
+        {
+            let frames = with(reconstruct, px);
+            let differ = frames.color.iter().zip(&points.color).filter(|(a, b)| a != b).count();
+            assert_eq!(differ, 0, "{antialias:?}, {reconstruct:?}, {px} px");
         }
     }
 }

@@ -131,28 +131,54 @@ pub(super) fn reread(given: &ServeArgs, args: &ServeArgs, address: SocketAddr) -
             let (given, path) = (given.clone(), path.clone());
             let table = |text: &str| text.parse::<toml::Table>().unwrap_or_default();
             let begun_with = table(&read_file(&path).unwrap_or_default());
+            let last = parking_lot::Mutex::new(begun_with.clone());
             reader(move || {
                 let text = read_file(&path)?;
                 let file = parse_file(&text).with_context(|| path.display().to_string())?;
-                let bounds = bounds(&given.clone().or(file))?;
-                for name in waiting_changes(&begun_with, &table(&text)) {
+                let of = |file| bounds(&given.clone().or(file));
+                let found = of(file)?;
+                let now = table(&text);
+                let is_reloaded = |name: &str| RELOADED.contains(&name);
+                for name in changed(&begun_with, &now).filter(|name| !is_reloaded(name)) {
                     tracing::warn!(
                         "the setting {name} has changed in the file; it needs a restart"
                     );
                 }
-                Ok(bounds)
+                let last = std::mem::replace(&mut *last.lock(), now.clone());
+                let is_in_force = |name: &&str| {
+                    let before = with(&now, name, last.get(*name));
+                    // A flag wins over the file.
+                    parse_file(&before.to_string()).and_then(of).ok().as_ref() != Some(&found)
+                };
+                let limits = changed(&last, &now).filter(|name| is_reloaded(name));
+                let told = limits.filter(is_in_force).map(|name| {
+                    let [before, after] = [&last, &now].map(|table| match table.get(name) {
+                        Some(value) => value.to_string(),
+                        None => "its default".to_owned(),
+                    });
+                    format!("{name} {before} to {after}")
+                });
+                let changes = told.collect();
+                Ok((found, changes))
             })
         }),
     }
 }
 
-/// Returns the settings that a file's reload does not put in force although they have changed.
-fn waiting_changes(before: &toml::Table, now: &toml::Table) -> Vec<String> {
-    let names: BTreeSet<&String> = before.keys().chain(now.keys()).collect();
-    let waits = |name: &&String| {
-        !RELOADED.contains(&name.as_str()) && before.get(name.as_str()) != now.get(name.as_str())
-    };
-    names.into_iter().filter(waits).cloned().collect()
+/// Returns the table with another value of one setting, or without it.
+fn with(table: &toml::Table, name: &str, value: Option<&toml::Value>) -> toml::Table {
+    let mut table = table.clone();
+    match value {
+        Some(value) => drop(table.insert(name.to_owned(), value.clone())),
+        None => drop(table.remove(name)),
+    }
+    table
+}
+
+/// Returns the names of settings that differ, in their order.
+fn changed<'a>(before: &'a toml::Table, now: &'a toml::Table) -> impl Iterator<Item = &'a str> {
+    let names: BTreeSet<&str> = before.keys().chain(now.keys()).map(String::as_str).collect();
+    names.into_iter().filter(|name| before.get(*name) != now.get(*name))
 }
 
 /// Returns the first socket that systemd passes to this process (socket activation).

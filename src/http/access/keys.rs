@@ -198,6 +198,7 @@ fn parse_hash(hex: &str) -> Option<[u8; 32]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::http::access::Access;
 
     fn tables(text: &str) -> Result<Vec<ApiKey>, String> {
         read(Path::new("keys.toml"), text)
@@ -229,6 +230,26 @@ mod tests {
         assert_eq!((keys[1].expires, keys[1].quotas), (None, Quotas::default()));
         let lines = read(Path::new("keys"), &format!("eye read {HASH}")).unwrap();
         assert_eq!(lines[0].name, "eye");
+    }
+
+    #[test]
+    fn changes_of_keys_are_told_by_their_names() {
+        let read = |text: &str| Access::Keys(tables(text).unwrap());
+        let key = |id: &str, scope: &str, rest: &str| {
+            format!("[[key]]\nid = \"{id}\"\nscope = \"{scope}\"\nhash = \"{HASH}\"\n{rest}")
+        };
+        let before = read(&key("anna", "read", "").replace(HASH, OTHER_HASH));
+        assert!(before.changes(&before.clone()).is_empty());
+        let open = Access::Open { cors_origins: Vec::new(), only_loopback: true };
+        assert_eq!(open.changes(&before), ["anna added"]);
+        assert_eq!(before.changes(&read(&key("bob", "read", ""))), ["bob added", "anna removed"]);
+        // Another hash, scope or limit changes a key.
+        let bob = read(&key("bob", "read", ""));
+        let others = [key("bob", "write", ""), key("bob", "read", "streams = 2\n")];
+        let other_hash = key("bob", "read", "").replace(HASH, OTHER_HASH);
+        for other in others.iter().chain([&other_hash]) {
+            assert_eq!(bob.changes(&read(other)), ["bob changed"]);
+        }
     }
 
     #[test]

@@ -11,7 +11,7 @@ use crate::http::access::signed::Caps;
 use crate::http::problem::{Kind, Problem};
 
 /// Limits of job watchers.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WatchLimits {
     /// Largest number at the same time.
     pub most: usize,

@@ -10,7 +10,7 @@ use crate::http::App;
 use crate::http::headcount::Headcount;
 
 /// Limits of streams.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StreamLimits {
     /// Largest number at the same time.
     pub most: usize,

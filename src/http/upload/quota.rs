@@ -9,7 +9,7 @@ use crate::http::access::Quotas;
 use crate::http::problem::{Kind, Problem};
 
 /// Limits on uploads. The limits per key apply where keys are required.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UploadLimits {
     pub scenes: u64,
     pub scenes_per_key: u64,
