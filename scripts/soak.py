@@ -145,6 +145,9 @@ class Soak:
             with slot.lock:
                 pass
         kept = dict(self.kept)
+        # Before the daemon starts: its first answers may come before all scenes are known to be loaded.
+        for slot in self.world.slots:
+            slot.restarted(killed)
         self.cluster.start("daemon")
         if not await_ready(self.caller, self.cluster.processes["daemon"]):
             self.world.fault("lost process", "the daemon does not come back")
@@ -156,8 +159,6 @@ class Soak:
             state = self.loaded(self.caller, name, not was_loaded)
             if state != "ready" and name in self.kept:
                 self.world.fault("lost upload", f"{name} after a restart: {state}")
-        for slot in self.world.slots:
-            slot.restarted(killed)
         self.world.finish(self.world.outages)
         self.world.serving.set()
 

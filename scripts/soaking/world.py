@@ -108,7 +108,7 @@ class Slot:
         return last.version, last.acked is not None
 
     def restarted(self, killed):
-        """A daemon that was killed at that time serves again: what was edited is as it was uploaded."""
+        """A daemon that was killed at that time is about to serve again: what was edited is as it was uploaded."""
         now = time.monotonic()
         # Changes are over: the daemon was down.
         bases = {version and version.seed: version and Version(self.name, version.seed) for version in self.may_show(now, now)[::-1]}

@@ -1,7 +1,7 @@
 //! Connections: how many there may be, and for how long each may stall.
 //!
-//! A connection must send the head of a request within `read_timeout`; an idle connection is closed after the same time, and a
-//! connection that accepts fewer than [`LEAST_WRITTEN`] bytes of its answer in [`STALLED_WRITE`] is dropped. A connection beyond `max_connections` gets a
+//! A connection must send the head of a request within `read_timeout`; an idle connection is closed after the same time. A connection that accepts fewer
+//! than [`PART`] bytes in [`STALLED`] is dropped, and so is one whose client takes no more of one of its [answers](Answers). A connection beyond `max_connections` gets a
 //! short refusal and is closed. A few of these at a time are read first, so that health probes are answered. The same holds for a
 //! connection beyond those that one address may have. With TLS, such connections are closed without an answer, since a handshake
 //! costs more than the answer is worth.
@@ -22,14 +22,11 @@ use tokio::net::TcpStream;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, Sleep};
 
+use super::answers::{Answers, PART, Patience, STALLED, Watched};
 use super::problem::{Kind, Problem};
 use super::socket::Socket;
 use super::{App, address, refusal, service};
 
-/// Time after which a client that reads nothing of its answer is dropped.
-const STALLED_WRITE: Duration = Duration::from_secs(60);
-/// Bytes that a connection must accept within that time once it has not accepted any at once.
-const LEAST_WRITTEN: usize = 16 << 10;
 /// Length of an HTTP/2 preface, which is also nearly that of the shortest HTTP/1 request.
 const PREFACE_BYTES: u64 = 24;
 /// Limits of reading on after a refused head, in time and bytes: closing at once would reset the connection, and the client might
@@ -59,8 +56,8 @@ const PROBE_READ: Duration = Duration::from_millis(300);
 
 impl<S: Send + 'static> Accept<TcpStream, S> for Doorkeeper {
     type Stream = Guarded;
-    type Service = S;
-    type Future = Pin<Box<dyn Future<Output = std::io::Result<(Guarded, S)>> + Send>>;
+    type Service = Watched<S>;
+    type Future = Pin<Box<dyn Future<Output = std::io::Result<(Guarded, Watched<S>)>> + Send>>;
 
     fn accept(&self, mut stream: TcpStream, service: S) -> Self::Future {
         let place = self.places.clone().try_acquire_owned().ok();
@@ -96,7 +93,9 @@ impl<S: Send + 'static> Accept<TcpStream, S> for Doorkeeper {
                     Socket::Tls(Box::new(stream))
                 }
             };
-            Ok((Guarded::new(socket, place, read_timeout), service))
+            let answers = Answers::default();
+            let service = answers.of(service);
+            Ok((Guarded::new(socket, place, read_timeout, answers), service))
         })
     }
 }
@@ -177,8 +176,8 @@ async fn turn_away(stream: &mut TcpStream, answer: Option<Response>) -> std::io:
     stream.shutdown().await
 }
 
-/// A connection that holds its place, with two limits that the HTTP library lacks: time for the first
-/// bytes, which the library reads before it knows their protocol, and time for writes.
+/// A connection that holds its place, with limits that the HTTP library lacks: time for the first bytes, which the library reads before it knows their
+/// protocol, time for writes, and time for a client to take a part of an answer.
 pub struct Guarded {
     stream: Socket,
     _place: Place,
@@ -188,6 +187,7 @@ pub struct Guarded {
     is_write_pending: bool,
     /// Bytes written since the time limit of writes began.
     written: usize,
+    patience: Patience,
     /// Answer that replaces one of the HTTP library.
     instead: Option<Instead>,
 }
@@ -200,15 +200,16 @@ struct Instead {
 }
 
 impl Guarded {
-    fn new(stream: Socket, place: Place, read_timeout: Duration) -> Self {
+    fn new(stream: Socket, place: Place, read_timeout: Duration, answers: Answers) -> Self {
         Self {
             stream,
             _place: place,
             read_bytes: 0,
             preface_until: Box::pin(tokio::time::sleep(read_timeout)),
-            write_until: Box::pin(tokio::time::sleep(STALLED_WRITE)),
+            write_until: Box::pin(tokio::time::sleep(STALLED)),
             is_write_pending: false,
             written: 0,
+            patience: Patience::new(answers),
             instead: None,
         }
     }
@@ -257,17 +258,20 @@ impl Guarded {
         Poll::Ready(Ok(()))
     }
 
-    /// As [`Guarded::bounded`], for a write of some bytes. Only [`LEAST_WRITTEN`] of them end the wait that the time limit is for.
+    /// As [`Guarded::bounded`], for a write of some bytes. Only [`PART`] of them end the wait that the time limit is for.
     fn bounded_write(
         &mut self,
         context: &mut Context<'_>,
         result: Poll<std::io::Result<usize>>,
     ) -> Poll<std::io::Result<usize>> {
+        if self.patience.is_over(context) {
+            return Poll::Ready(Err(std::io::ErrorKind::TimedOut.into()));
+        }
         if let Poll::Ready(Ok(bytes)) = result
             && self.is_write_pending
         {
             self.written += bytes;
-            if self.written < LEAST_WRITTEN {
+            if self.written < PART {
                 return result;
             }
         }
@@ -286,7 +290,7 @@ impl Guarded {
         }
         if !self.is_write_pending {
             self.is_write_pending = true;
-            self.write_until.as_mut().reset(Instant::now() + STALLED_WRITE);
+            self.write_until.as_mut().reset(Instant::now() + STALLED);
         }
         match self.write_until.as_mut().poll(context) {
             Poll::Ready(()) => Poll::Ready(Err(std::io::ErrorKind::TimedOut.into())),
@@ -301,6 +305,9 @@ impl AsyncRead for Guarded {
         context: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<std::io::Result<()>> {
+        if self.patience.is_over(context) {
+            return Poll::Ready(Err(std::io::ErrorKind::TimedOut.into()));
+        }
         let before = buffer.filled().len();
         match Pin::new(&mut self.stream).poll_read(context, buffer) {
             Poll::Ready(result) => {

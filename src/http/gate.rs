@@ -237,7 +237,7 @@ fn admit(
     };
     let Some(Admitted { key, caps, is_signed }) = admitted else {
         let client = match asked.address {
-            Some(from) => Client::Caller(app.callers.hash_one(from)),
+            Some(from) => Client::Caller(app.callers.hash_one(address::network(from))),
             None => Client::Unnamed,
         };
         let owner = Owner { is_admin: true, ..Owner::default() };

@@ -27,6 +27,7 @@
 pub mod access;
 mod accuracy;
 pub mod address;
+mod answers;
 mod body;
 mod bucket;
 mod compare;

@@ -2,15 +2,11 @@
 //! each client, and for all together.
 
 use std::collections::HashMap;
-use std::convert::Infallible;
-use std::pin::Pin;
 use std::sync::Arc;
-use std::task::{Context, Poll};
 use std::time::Duration;
 
-use axum::body::{Body, HttpBody};
+use axum::body::Body;
 use bytes::Bytes;
-use hyper::body::{Frame, SizeHint};
 use parking_lot::Mutex;
 
 use super::problem::{Kind, Problem};
@@ -19,8 +15,6 @@ use crate::memory::{Admission, Reservation};
 
 /// Smaller answers are not counted.
 const SMALL: usize = 16 << 10;
-/// Bytes that a connection takes at a time. It may copy them.
-const PIECE: usize = 64 << 10;
 /// Least limits of a client and of all, in bytes.
 const LEAST: u64 = 64 << 20;
 const LEAST_OF_ALL: u64 = 256 << 20;
@@ -68,7 +62,7 @@ impl Unread {
         // Scenes may take the whole budget; frames of them are answered all the same.
         let memory = memory.grow("an answer", length).ok().map(|()| memory.keep(length));
         let owner = Owner { bytes, _share: share, _memory: memory };
-        Ok(Body::new(Pieces(Bytes::from_owner(owner))))
+        Ok(Body::from(Bytes::from_owner(owner)))
     }
 }
 
@@ -104,35 +98,10 @@ impl AsRef<[u8]> for Owner {
     }
 }
 
-/// A body in pieces, of known length.
-struct Pieces(Bytes);
-
-impl HttpBody for Pieces {
-    type Data = Bytes;
-    type Error = Infallible;
-
-    fn poll_frame(
-        mut self: Pin<&mut Self>,
-        _: &mut Context<'_>,
-    ) -> Poll<Option<Result<Frame<Bytes>, Infallible>>> {
-        if self.0.is_empty() {
-            return Poll::Ready(None);
-        }
-        let length = self.0.len().min(PIECE);
-        Poll::Ready(Some(Ok(Frame::data(self.0.split_to(length)))))
-    }
-
-    fn is_end_stream(&self) -> bool {
-        self.0.is_empty()
-    }
-
-    fn size_hint(&self) -> SizeHint {
-        SizeHint::with_exact(self.0.len() as u64)
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use axum::body::HttpBody;
+
     use super::*;
     use crate::memory::HostMemory;
 

@@ -36,5 +36,6 @@ mod soak;
 mod stream;
 mod stream_ends;
 mod telemetry;
+mod untaken;
 mod uploads;
 mod viewer;
