@@ -199,8 +199,8 @@ class Faults(Actor):
 
 
 class Memory:
-    """Memory, open files and threads of each process, at equal points of the cycle. Memory is what a process has for itself: pages of files,
-    such as the program's own, come and go as the system likes."""
+    """Memory, open files and threads of each process, at equal points of the cycle. Growth is that of the memory which a process has for itself,
+    as a share of all its resident memory: pages of files, such as the program's own, come and go as the system likes."""
 
     def __init__(self):
         self.series = {}
@@ -211,34 +211,35 @@ class Memory:
                 continue
             status = dict(line.split(":", 1) for line in open(f"/proc/{process.pid}/status"))
             files = len(os.listdir(f"/proc/{process.pid}/fd"))
-            kib = sum(int(status[kind].split()[0]) for kind in ("RssAnon", "RssShmem"))
-            sample = (kib, files, int(status["Threads"]))
+            kib = lambda *kinds: sum(int(status[kind].split()[0]) for kind in kinds)
+            sample = (kib("RssAnon", "RssShmem"), kib("VmRSS"), files)
             self.series.setdefault((name, process.pid), []).append(sample)
 
     @staticmethod
-    def growth(values):
-        """By how much the median of the last third is above that of the first, without the first fifth. `None` with too few samples."""
+    def growth(values, whole):
+        """By how much the median of the last third is above that of the first, without the first fifth, as a share of the median of `whole`.
+        `None` with too few samples."""
         values = values[-(-len(values) // 5):]
         if len(values) < 3:
             return None
         third = len(values) // 3
-        return statistics.median(values[-third:]) / statistics.median(values[:third]) - 1
+        return (statistics.median(values[-third:]) - statistics.median(values[:third])) / statistics.median(whole)
 
     def judge(self, world):
         """Lines of the table; tells the world of growth."""
         lines = []
         for (name, pid), samples in self.series.items():
-            kib = [sample[0] for sample in samples]
-            growth = self.growth(kib)
+            kib, resident, files = zip(*samples)
+            growth = self.growth(kib, resident)
             if growth is None:
                 continue
             limit = FLAT if len(samples) >= ENOUGH else ROUGHLY_FLAT
             shown = " ".join(f"{value / 1024:.1f}" for value in kib)
-            lines.append((f"memory of {name} ({pid})", f"{100 * growth:+.2f} % of {100 * limit:.0f} % allowed; MiB: {shown}"))
-            files = [sample[1] for sample in samples]
+            held = statistics.median(resident) / 1024
+            lines.append((f"memory of {name} ({pid})", f"{100 * growth:+.2f} % of {held:.0f} MiB, {100 * limit:.0f} % allowed; its own MiB: {shown}"))
             lines.append((f"files of {name} ({pid})", " ".join(map(str, files))))
             if growth > limit:
-                world.fault("growth", f"the memory of {name} grew by {100 * growth:.2f} %: {shown} MiB")
-            if len(samples) >= ENOUGH and self.growth(files) > 0.2:
+                world.fault("growth", f"the memory of {name} grew by {100 * growth:.2f} % of {held:.0f} MiB: {shown} MiB")
+            if len(samples) >= ENOUGH and self.growth(files, files) > 0.2:
                 world.fault("growth", f"the open files of {name} grew: {files}")
         return lines

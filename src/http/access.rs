@@ -351,7 +351,8 @@ fn check_signed<'a>(
         return Err(refused(Problem::new(Kind::Forbidden, detail)));
     }
     if route == STREAM && !claim.terms.is_open {
-        let detail = "poses of a stream are no part of its address";
+        let detail =
+            "a stream gets its poses as messages, which this signed address does not allow";
         let accepted = "an address signed with --open";
         return Err(refused(Problem::new(Kind::Forbidden, detail).accepted(accepted)));
     }

@@ -177,6 +177,16 @@ pub fn missing(app: &App, id: &str, problem: Problem) -> Problem {
             Problem::new(Kind::SceneLoading, format!("scene `{id}` is still loading"))
                 .retry_after(Duration::from_secs(1))
         }
+        // A balancer asks another server, which may have had more memory.
+        Some(super::registry::Entry::Failed { problem, .. })
+            if super::upload::follow::is_followed(app, id) =>
+        {
+            let detail = format!(
+                "this server could not load scene `{id}`, and tries again: {}",
+                problem.detail
+            );
+            Problem::new(Kind::NotReady, detail).retry_after(Duration::from_secs(5))
+        }
         Some(super::registry::Entry::Failed { problem, .. }) => problem,
         Some(super::registry::Entry::Removing { .. }) => problem,
         None if super::upload::follow::is_coming(app, id) => Problem::new(

@@ -47,7 +47,7 @@ impl Unread {
             let mut held = self.held.lock();
             let own = held.get(&client).copied().unwrap_or_default();
             if own > 0 && own + length > self.most {
-                let text = format!("answers of {own} bytes have not been read yet");
+                let text = format!("this client has not yet read {own} bytes of earlier answers");
                 return Err(Problem::new(Kind::TooManyRequests, text)
                     .accepted(format!("at most {} bytes for each client", self.most))
                     .retry_after(RETRY));

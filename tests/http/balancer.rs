@@ -221,6 +221,34 @@ fn a_server_that_loads_gets_no_traffic() {
     }
 }
 
+/// A follower repeats a load that fails, and meanwhile answers so that a balancer asks another server.
+#[test]
+fn a_follower_tries_again_to_load_an_upload() {
+    let keeper = keeper();
+    let ply = grid_ply();
+    let path = "/v1/scenes?id=up&name=a.ply";
+    let uploaded = keeper.client().send("POST", path, &[], Some(ply.as_bytes()));
+    assert_eq!(uploaded.status, 201, "{}", uploaded.text());
+    // The follower's disk shows something else under the upload's time.
+    let file = keeper.root().join("uploads/up/a.ply");
+    let modified = std::fs::metadata(&file).unwrap().modified().unwrap();
+    let write = |text: &str| {
+        std::fs::write(&file, text).unwrap();
+        let opened = std::fs::File::options().append(true).open(&file).unwrap();
+        opened.set_modified(modified).unwrap();
+    };
+    write("no ply");
+    let follower = follower(&keeper);
+    let client = follower.client();
+    assert_eq!(client.get("/v1/scenes/up").json()["state"], "failed");
+    let refused = client.get(&frame_of("up", 0));
+    assert_eq!(refused.status, 503, "{}", refused.text());
+    assert!(refused.text().contains("tries again"), "{}", refused.text());
+    assert!(refused.header("retry-after").is_some());
+    write(&ply);
+    eventually("the load", || client.get(&frame_of("up", 0)).status == 200);
+}
+
 #[test]
 fn an_upload_reaches_every_server() {
     for kind in BALANCERS {

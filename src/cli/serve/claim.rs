@@ -1,23 +1,27 @@
 //! Ensures that only one daemon at a time keeps the uploads of a root.
 //!
 //! The claim is a lock on the root folder itself. It leaves no file behind, works where the root cannot be written, and the
-//! system releases it however the process ends. On a file system without locks the root stays unclaimed, with a warning.
+//! system releases it however the process ends. NFS locks only files that are open for writing: there, the claim is a lock on the file [`FILE`] in
+//! the root. On a file system without locks the root stays unclaimed, with a warning.
 
-use std::fs::{File, TryLockError};
+use std::fs::{File, OpenOptions, TryLockError};
 use std::path::Path;
 
 use super::patience::{patience, patiently};
 
+/// The file that is locked where folders cannot be. It stays when it is unlocked.
+const FILE: &str = ".pointillist-lock";
+
 /// Holds the claim until dropped.
 #[derive(Debug)]
 pub(super) struct Claim {
-    _folder: File,
+    _locked: File,
 }
 
 #[derive(Debug, thiserror::Error)]
 #[error(
-    "{holder} keeps the uploads of {root}; stop it, give this one another folder with --root, or serve that one without uploads \
-     with --no-uploads or --follow-uploads"
+    "{holder} already accepts uploads in {root}; stop it, give this server another folder with --root, or start this server \
+     with --follow-uploads or --no-uploads"
 )]
 struct Held {
     holder: String,
@@ -33,25 +37,40 @@ pub(super) fn claim(root: &Path) -> anyhow::Result<Option<Claim>> {
 }
 
 fn try_claim(root: &Path) -> Result<Option<Claim>, Held> {
-    let folder = match File::open(root) {
-        Ok(folder) => folder,
-        Err(error) => return Ok(unclaimed(root, &error)),
+    match lock(root, File::open(root))? {
+        Ok(claim) => Ok(Some(claim)),
+        Err(_) => claim_by_file(root),
+    }
+}
+
+/// Claims a root by the lock on a file.
+fn claim_by_file(root: &Path) -> Result<Option<Claim>, Held> {
+    let file = OpenOptions::new().create(true).append(true).open(root.join(FILE));
+    match lock(root, file)? {
+        Ok(claim) => Ok(Some(claim)),
+        Err(error) => {
+            tracing::warn!(root = %root.display(), %error, "cannot lock the root: make sure that no second server accepts uploads there");
+            Ok(None)
+        }
+    }
+}
+
+/// Locks a file or folder. The inner error is that of the file system.
+fn lock(root: &Path, opened: std::io::Result<File>) -> Result<std::io::Result<Claim>, Held> {
+    let file = match opened {
+        Ok(file) => file,
+        Err(error) => return Ok(Err(error)),
     };
-    match folder.try_lock() {
-        Ok(()) => Ok(Some(Claim { _folder: folder })),
+    match file.try_lock() {
+        Ok(()) => Ok(Ok(Claim { _locked: file })),
         Err(TryLockError::WouldBlock) => {
-            let holder = holder(&folder).map_or("another process".to_owned(), |id| {
+            let holder = holder(&file).map_or("another process".to_owned(), |id| {
                 format!("process {id} ({})", name(id).unwrap_or_default())
             });
             Err(Held { holder, root: root.display().to_string() })
         }
-        Err(TryLockError::Error(error)) => Ok(unclaimed(root, &error)),
+        Err(TryLockError::Error(error)) => Ok(Err(error)),
     }
-}
-
-fn unclaimed(root: &Path, error: &std::io::Error) -> Option<Claim> {
-    tracing::warn!(root = %root.display(), %error, "cannot lock the root: make sure that no second daemon accepts uploads there");
-    None
 }
 
 /// The process that holds the lock of a folder, if the system tells.
@@ -99,6 +118,18 @@ mod tests {
         drop(first);
         assert!(try_claim(folder.path()).unwrap().is_some());
         assert!(std::fs::read_dir(folder.path()).unwrap().next().is_none(), "no file is left");
+    }
+
+    #[test]
+    fn a_root_whose_folder_cannot_be_locked_is_claimed_by_a_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let first = claim_by_file(folder.path()).unwrap().unwrap();
+        let told = claim_by_file(folder.path()).unwrap_err().to_string();
+        assert!(told.contains("--root"), "{told}");
+        drop(first);
+        assert!(claim_by_file(folder.path()).unwrap().is_some());
+        // Without a place for the file, the root stays unclaimed.
+        assert!(claim_by_file(&folder.path().join("missing")).unwrap().is_none());
     }
 
     #[test]

@@ -34,7 +34,10 @@ pub(super) fn use_farm(
     runtime: &Handle,
 ) -> anyhow::Result<()> {
     let name = daemon_name(jobs.folder()).with_context(|| {
-        format!("--state {}: cannot keep a name there", jobs.folder().display())
+        format!(
+            "--state {}: cannot read or write the file with this server's name",
+            jobs.folder().display()
+        )
     })?;
     let farm = Farm::new(&address, store, name, engine, runtime)?;
     tracing::info!(nats = address.without_secrets(), "workers draw the frames of jobs");

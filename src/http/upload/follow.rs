@@ -11,7 +11,7 @@
 //! serves an upload once the keeper has loaded it. Changes of nodes are not in the files, so they stay with the daemon that made
 //! them.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::fs;
 use std::io;
 use std::path::Path;
@@ -19,17 +19,21 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use super::loading::{Loading, Origin, load};
-use super::store::{Earlier, FOLDER, Record, folder_of, holds};
+use super::store::{Earlier, FOLDER, Record, folder_of, holds, in_place};
 use crate::engine::Source;
 use crate::http::names::valid_id;
 use crate::http::problem::{Kind, Problem};
-use crate::http::registry::Ended;
+use crate::http::registry::{Ended, Entry};
 use crate::http::{App, Phase};
 
 /// Time between two looks at the folder.
 const PERIOD: Duration = Duration::from_secs(1);
 /// Longest wait for a cancelled load to end.
 const LONGEST_STEP: Duration = Duration::from_secs(30);
+
+/// Times after which a load that failed is repeated: the first, which doubles with each further failure, and the longest.
+const FIRST_PAUSE: Duration = Duration::from_secs(2);
+const LONGEST_PAUSE: Duration = Duration::from_secs(300);
 
 /// Ways in which a daemon treats uploads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,7 +59,7 @@ impl Uploads {
         let (detail, accepted) = match self {
             Uploads::Kept => return Ok(()),
             Uploads::Followed => (
-                "this server serves the uploads of another one and accepts none (--follow-uploads)",
+                "this server is a follower and accepts no uploads (--follow-uploads)",
                 "upload to the server that keeps the uploads",
             ),
             Uploads::Refused => (
@@ -198,8 +202,12 @@ fn is_gone(error: &io::Error) -> bool {
 pub fn is_coming(app: &App, id: &str) -> bool {
     let root = &app.settings.root;
     app.settings.uploads == Uploads::Followed
-        && holds(root, id)
-        && matches!(read(root, id), Ok(Some(_)))
+        && in_place(|| holds(root, id) && matches!(read(root, id), Ok(Some(_))))
+}
+
+/// Returns whether a scene is an upload that this daemon follows.
+pub fn is_followed(app: &App, id: &str) -> bool {
+    app.settings.uploads == Uploads::Followed && app.uploads.owner(id).is_some()
 }
 
 /// Refuses to remove an upload that another daemon keeps.
@@ -207,7 +215,7 @@ pub fn is_coming(app: &App, id: &str) -> bool {
 /// # Errors
 /// The scene is such an upload.
 pub fn refuse_removal(app: &App, id: &str) -> Result<(), Problem> {
-    if app.settings.uploads != Uploads::Followed || app.uploads.owner(id).is_none() {
+    if !is_followed(app, id) {
         return Ok(());
     }
     let detail = format!("scene `{id}` is an upload that another server keeps (--follow-uploads)");
@@ -215,9 +223,11 @@ pub fn refuse_removal(app: &App, id: &str) -> Result<(), Problem> {
         .accepted("DELETE at the server that keeps the uploads"))
 }
 
-/// Repeats the keeper's changes until the server drains. Loads one upload at a time, because each may need most of the memory.
+/// Repeats the keeper's changes until the server drains. Loads one upload at a time, because each may need most of the memory. Since the keeper has loaded
+/// them all, a load that fails is repeated: memory or the disk may have been short.
 pub async fn follow(app: Arc<App>, mut followed: Followed) {
     let mut waiting = VecDeque::new();
+    let mut tries = HashMap::new();
     let mut loading: Option<Loading> = None;
     while app.phase() != Phase::Draining {
         match &mut loading {
@@ -238,6 +248,7 @@ pub async fn follow(app: Arc<App>, mut followed: Followed) {
         for change in changes {
             match change {
                 Change::Remove(id) => {
+                    tries.remove(&id);
                     waiting.retain(|found: &Found| found.id != id);
                     remove(&app, id).await;
                 }
@@ -247,9 +258,38 @@ pub async fn follow(app: Arc<App>, mut followed: Followed) {
         while loading.is_none()
             && let Some(found) = waiting.pop_front()
         {
+            // The id is free in a moment.
+            if matches!(
+                app.registry.get(&found.id),
+                Some(Entry::Loading { .. } | Entry::Removing { .. })
+            ) {
+                waiting.push_back(found);
+                break;
+            }
             loading = begin(&app, found);
         }
+        if loading.is_none() && waiting.is_empty() {
+            loading = repeat(&app, &mut tries);
+        }
     }
+}
+
+/// Begins to load an upload again whose load failed, if it is time. `tries` counts the repeated loads of each.
+fn repeat(app: &Arc<App>, tries: &mut HashMap<String, u32>) -> Option<Loading> {
+    let is_due = |(id, entry): &(String, Entry)| {
+        let Entry::Failed { at, source: Some(_), .. } = entry else { return false };
+        let pause = pause(tries.get(id).copied().unwrap_or_default());
+        at.elapsed() >= pause && is_followed(app, id)
+    };
+    let (id, _) = app.registry.list().into_iter().find(is_due)?;
+    let (reservation, source) = app.registry.retry(&id, app.engine.admission())?;
+    tracing::info!(id, "an upload that could not be loaded is tried again");
+    *tries.entry(id).or_default() += 1;
+    Some(tokio::spawn(load(app.clone(), reservation, source, Origin::Kept)))
+}
+
+fn pause(tries: u32) -> Duration {
+    FIRST_PAUSE.saturating_mul(1 << tries.min(16)).min(LONGEST_PAUSE)
 }
 
 /// Begins to load an upload, unless a scene of the root has its id.

@@ -33,7 +33,7 @@ impl Progress {
 
 /// Why the body was ended.
 pub fn too_long() -> String {
-    format!("a part's head, or what comes before the first part, is longer than {MOST_HEAD} bytes")
+    format!("the form's preamble, or the header of a part, is longer than {MOST_HEAD} bytes")
 }
 
 /// A body with a limit.

@@ -109,7 +109,8 @@ pub async fn create(
         None => reserve_derived(&app, &received.main)?,
     };
     let id = reservation.id().to_owned();
-    let source = received.settle(&app.settings.root, &id, target.up, &budget.share)?;
+    let settle = || received.settle(&app.settings.root, &id, target.up, &budget.share);
+    let source = store::in_place(settle)?;
     app.uploads.keep(&id, budget.share);
     answer(&app, &headers, reservation, source, Origin::Fresh).await
 }
@@ -162,7 +163,8 @@ pub async fn retry(
         }
     }
     if app.settings.uploads.are_kept() {
-        store::set_aside(&app.settings.root, &id).map_err(|error| storage(&error))?;
+        let changed = store::in_place(|| store::set_aside(&app.settings.root, &id));
+        changed.map_err(|error| storage(&error))?;
     }
     let Some((reservation, source)) = app.registry.retry(&id, app.engine.admission()) else {
         return Err(Problem::new(Kind::SceneLoading, format!("scene `{id}` is being loaded")));
@@ -276,7 +278,7 @@ impl PartialFolder {
 impl Drop for PartialFolder {
     fn drop(&mut self) {
         if let Some(path) = self.0.take() {
-            store::remove_folder(&path);
+            store::in_place(|| store::remove_folder(&path));
         }
     }
 }
@@ -303,7 +305,8 @@ impl Received {
         let moved = record.write(self.folder.path()).and_then(|()| {
             std::fs::rename(self.folder.path(), &folder)?;
             self.folder.0 = None;
-            store::sync_folder(&root.join(FOLDER))
+            // An upload that is not acknowledged must not come back at the next start.
+            store::sync_folder(&root.join(FOLDER)).inspect_err(|_| store::remove_folder(&folder))
         });
         moved.map_err(|error| storage(&error))?;
         Ok(record.source(root, id))
