@@ -121,6 +121,7 @@ mod tests {
         let _small = unread.hold(one, Bytes::from(vec![0; SMALL]), &admission()).unwrap();
         let read = axum::body::to_bytes(body, usize::MAX).await.unwrap();
         assert!(read.len() == 40 << 20 && read.iter().all(|byte| *byte == 7));
+        drop(read);
         assert_eq!((memory.in_use(), unread.held.lock().len()), (0, 0));
         let bodies: Vec<Body> = (0..6)
             .map(|number| unread.hold(Client::Caller(number), image(), &admission()).unwrap())
