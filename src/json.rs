@@ -3,9 +3,11 @@
 //! Three bytes of JSON, `{},`, may become hundreds in memory. [`count`] walks a text without keeping any of it, stops at
 //! the first limit, and tells how much there is, so that memory can be reserved before the text is parsed.
 
+mod message;
 mod text;
 pub mod whole;
 
+pub use message::plain;
 pub(crate) use text::as_text;
 
 use std::fmt;

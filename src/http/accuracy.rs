@@ -22,7 +22,7 @@ use crate::accuracy::results::Results;
 use crate::accuracy::service::{
     Failure, MOST_CAMERAS, MOST_REPEATS, Progress, Refusal, State as SurveyState, View, Wanted,
 };
-use crate::json::whole;
+use crate::json::{self, whole};
 
 /// Largest body in bytes.
 const MAX_BODY_BYTES: u64 = 64 << 10;
@@ -319,7 +319,8 @@ pub(super) fn wanted(value: Value) -> Result<Wanted, Problem> {
     }
     let request: AccuracyRequest = serde_path_to_error::deserialize(value).map_err(|error| {
         let path = error.path().to_string();
-        Problem::new(Kind::BadBody, format!("{path}: {}", error.inner())).at(path)
+        Problem::new(Kind::BadBody, format!("{path}: {}", json::plain(&error.inner().to_string())))
+            .at(path)
     })?;
     let is_for_planner = request.planner.unwrap_or(false);
     let given = [

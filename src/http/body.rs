@@ -158,8 +158,11 @@ pub(super) fn parse_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem
             return Problem::new(Kind::BadBody, error.inner().to_string());
         }
         let path = error.path().to_string();
-        let problem = Problem::new(Kind::BadBody, error.to_string());
-        if path == "." { problem } else { problem.at(path) }
+        let told = json::plain(&error.inner().to_string());
+        if path == "." {
+            return Problem::new(Kind::BadBody, told);
+        }
+        Problem::new(Kind::BadBody, format!("{path}: {told}")).at(path)
     })?;
     deserializer.end().map_err(|error| Problem::new(Kind::BadBody, error.to_string()))?;
     Ok(value)

@@ -20,7 +20,7 @@ pub use names::{Names, check_name, names, unknown_name};
 use super::problem::{Kind, Problem};
 use crate::encode::ImageFormat;
 use crate::engine::{FrameRequest, Pose};
-use crate::json::whole;
+use crate::json::{self, whole};
 use crate::math::{Camera, Lens, Projection, View};
 use crate::plan::{Given, Output, SettingError, Settings, Wait};
 use crate::scene::{Up, UpForm};
@@ -173,7 +173,11 @@ impl FrameParams {
         let params: FrameParams = serde_path_to_error::deserialize(value).map_err(|error| {
             let path = error.path().to_string();
             let at = if path == "." { place.to_owned() } else { locate(&path) };
-            Problem::new(Kind::BadBody, format!("{at}: {}", error.inner())).at(at)
+            Problem::new(
+                Kind::BadBody,
+                format!("{at}: {}", json::plain(&error.inner().to_string())),
+            )
+            .at(at)
         })?;
         Ok(FrameParams { settings, ..params })
     }

@@ -18,6 +18,7 @@ use super::problem::{Kind, Problem, storage};
 use super::registry::{Ended, Reservation, SceneState};
 use super::{App, Caller, NoQuery, Owner, Segments, body, frame, upload};
 use crate::engine::{EngineError, NodePatch};
+use crate::json;
 use crate::scene::{LARGEST_COORDINATE, LARGEST_SCALE};
 
 #[derive(Serialize, ToSchema)]
@@ -236,7 +237,8 @@ pub(super) fn node_change(value: serde_json::Value) -> Result<NodeChange, Proble
     }
     serde_path_to_error::deserialize(value).map_err(|error| {
         let path = error.path().to_string();
-        Problem::new(Kind::BadBody, format!("{path}: {}", error.inner())).at(path)
+        Problem::new(Kind::BadBody, format!("{path}: {}", json::plain(&error.inner().to_string())))
+            .at(path)
     })
 }
 

@@ -216,7 +216,7 @@ fn deserialize<T: DeserializeOwned>(text: &str) -> Result<T, (String, String)> {
     Ok(wire.0)
 }
 
-/// serde's message, with the nearest known key or value suggested where one was unknown, and with
+/// serde's message in the words of JSON, with the nearest known key or value suggested where one was unknown, and with
 /// a way out where JSON was nested too deeply.
 fn explain(message: &str) -> String {
     if message.starts_with("recursion limit exceeded") {
@@ -240,7 +240,7 @@ fn explain(message: &str) -> String {
             position => format!("{kind} `{found}` at line {position}; {suggestion}"),
         };
     }
-    message.to_owned()
+    json::plain(message)
 }
 
 /// The name among `known` that `found` was probably meant to be.

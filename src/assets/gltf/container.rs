@@ -105,7 +105,7 @@ pub(super) fn parse(json: &[u8], file: &str, admission: &Admission) -> Result<Ro
             path if path == "." => "JSON".to_owned(),
             path => path,
         };
-        AssetError::malformed(file, place, error.inner().to_string())
+        AssetError::malformed(file, place, json::plain(&error.inner().to_string()))
     })
 }
 

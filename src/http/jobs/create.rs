@@ -22,7 +22,7 @@ use crate::http::params::{self, FrameParams, unknown_name};
 use crate::http::problem::{Kind, Problem};
 use crate::http::{App, Owner, Phase, body};
 use crate::jobs::{FrameSpec, Origin, PathChoice, Repeat, Spec, Want, find_shots};
-use crate::json::whole;
+use crate::json::{self, whole};
 
 /// Largest body in bytes, enough for some thousand keys of a path.
 const MAX_BODY_BYTES: u64 = 256 << 10;
@@ -194,7 +194,7 @@ pub(in crate::http) fn spec(value: Value) -> Result<Spec, Problem> {
     }
     let request: JobRequest = serde_path_to_error::deserialize(value).map_err(|error| {
         let path = error.path().to_string();
-        let problem = Problem::new(Kind::BadBody, error.inner().to_string());
+        let problem = Problem::new(Kind::BadBody, json::plain(&error.inner().to_string()));
         if path == "." { problem } else { problem.at(path) }
     })?;
     let path = match &request.path {
@@ -310,10 +310,14 @@ mod tests {
                 "bitrate_kbps",
                 "frames have none",
             ),
-            (json!({"scene": "s", "path": "p", "fps": "fast"}), "fps", "invalid type"),
+            (json!({"scene": "s", "path": "p", "fps": "fast"}), "fps", "expected a number"),
             (json!({"scene": "s", "path": "p", "w": 0}), "w", "must not be 0"),
             (json!({"scene": "s", "path": "p", "format": "gif"}), "format", "not available"),
-            (json!({"scene": "s", "path": "p", "from": -1}), "from", "invalid value"),
+            (
+                json!({"scene": "s", "path": "p", "from": -1}),
+                "from",
+                "found the number -1; expected a whole number",
+            ),
         ] {
             let shown = value.to_string();
             let (status, at, detail) = refused(value);

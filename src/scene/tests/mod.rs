@@ -180,7 +180,7 @@ fn refusals_name_the_place() {
     nodes(r#"[{"asset": "a", "translate": [0, 1]}]"#, "nodes[0].translate", "length 2");
     nodes(r#"[{"translate": [0, 1, 1e13]}]"#, "nodes[0].translate[2]", "lies outside");
     nodes(r#"[{"translate": [0, 1, 1e999]}]"#, "nodes[0].translate[2]", "out of range");
-    nodes(r#"[{"translate": [0, 1, "2"]}]"#, "nodes[0].translate[2]", "expected f64");
+    nodes(r#"[{"translate": [0, 1, "2"]}]"#, "nodes[0].translate[2]", "expected a number");
     nodes(r#"[{"scale": 0}]"#, "nodes[0].scale", "flattens");
     nodes(r#"[{"scale": [1, 1, 0]}]"#, "nodes[0].scale[2]", "flattens");
     nodes(r#"[{"scale": [1, 1, 1, 1]}]"#, "nodes[0].scale", "expected a number or three");
