@@ -344,7 +344,8 @@ impl Spread {
     }
 }
 
-/// `|image − reference| / reference` over the pixels where both depths are finite; `None` if there are none.
+/// `|image − reference| / reference` over the pixels where both depths and the ratio are finite; `None` if there are none. The ratio is infinite where
+/// the reference has a depth of 0, as a surface in the eye's plane has in an orthographic view.
 ///
 /// # Errors
 /// The images have different sizes.
@@ -355,12 +356,10 @@ where
 {
     check(reference, image, None)?;
     let pairs = reference.iter().zip(image).map(|(&a, &b)| (a.into(), b.into()));
-    let errors =
-        pairs.filter(|(a, b): &(f64, f64)| a.is_finite() && b.is_finite()).map(|(a, b)| {
-            // Equal depths agree even at 0, where a ratio says nothing.
-            if a == b { 0.0 } else { ((b - a) / a).abs() }
-        });
-    Ok(Spread::of(errors.collect()))
+    let covered = pairs.filter(|(a, b): &(f64, f64)| a.is_finite() && b.is_finite());
+    // Equal depths agree even at 0, where a ratio says nothing.
+    let errors = covered.map(|(a, b)| if a == b { 0.0 } else { ((b - a) / a).abs() });
+    Ok(Spread::of(errors.filter(|error| error.is_finite()).collect()))
 }
 
 /// The angle in degrees over the pixels where both images have a normal (not zero); `None` if there are none.

@@ -138,7 +138,7 @@ impl Planning<'_> {
         let view = self.survey(self.least_size, Vec::new(), Vec::new()).default_view()?;
         let mut poses = of_cameras(&info.cameras, &[])?;
         let first = poses.len();
-        poses.extend(spread(&view, first, POSES - first));
+        poses.extend(spread(&view, first, POSES - first, &info.cameras));
         Ok(poses)
     }
 }

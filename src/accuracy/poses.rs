@@ -89,8 +89,13 @@ const HEIGHTS_DEG: [f64; 2] = [5.0, 65.0];
 const ASIDE: f64 = 0.2;
 
 /// Views in all directions and distances around a scene, the same ones every time: from `first` on, so many of the additive recurrence of
-/// Roberts (2018), which fills the space of views evenly.
-pub fn spread(view: &Camera, first: usize, count: usize) -> Vec<NamedPose> {
+/// Roberts (2018), which fills the space of views evenly. No view has the name of one of the scene's `cameras`.
+pub fn spread(
+    view: &Camera,
+    first: usize,
+    count: usize,
+    cameras: &[NamedCamera],
+) -> Vec<NamedPose> {
     // The real root of x⁶ = x + 1; its powers are the steps.
     let root: f64 = 1.134_724_138_401_519_5;
     let offset = view.eye - view.target;
@@ -110,13 +115,19 @@ pub fn spread(view: &Camera, first: usize, count: usize) -> Vec<NamedPose> {
             perspective => perspective,
         };
         let camera = Camera { eye: target + towards * share * offset.length(), target, up, lens };
-        NamedPose::new(number, &format!("view {}", number + 1), camera)
+        let mut name = format!("view {}", number + 1);
+        while cameras.iter().any(|camera| camera.name == name) {
+            name.insert_str(0, "other ");
+        }
+        NamedPose::new(number, &name, camera)
     });
     views.collect()
 }
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use super::*;
 
     fn camera(name: &str) -> NamedCamera {
@@ -150,7 +161,7 @@ mod tests {
         let lens = Lens::Perspective { fov_deg: 40.0 };
         let view =
             Camera { eye: DVec3::new(0.0, 3.0, 4.0), target: DVec3::ZERO, up: DVec3::Y, lens };
-        let poses = spread(&view, 0, 32);
+        let poses = spread(&view, 0, 32, &[]);
         let away = |pose: &NamedPose| pose.camera.eye - pose.camera.target;
         for (number, pose) in poses.iter().enumerate() {
             let share = away(pose).length() / 5.0;
@@ -163,7 +174,18 @@ mod tests {
         }
         let near = poses.iter().filter(|pose| away(pose).length() < 5.0).count();
         assert!((12..=20).contains(&near), "{near}");
-        assert_eq!(spread(&view, 3, 1)[0].camera, poses[3].camera);
+        assert_eq!(spread(&view, 3, 1, &[])[0].camera, poses[3].camera);
+    }
+
+    /// Measurements are kept by the names of poses.
+    #[test]
+    fn spread_views_have_names_that_no_camera_has() {
+        let cameras: Vec<_> = ["view 7", "other view 7", "view 40"].map(camera).into();
+        let mut poses = of_cameras(&cameras, &[]).unwrap();
+        poses.extend(spread(&poses[0].camera, 3, 8, &cameras));
+        let names: BTreeSet<&str> = poses.iter().map(|pose| pose.name.as_str()).collect();
+        assert_eq!(names.len(), poses.len(), "{names:?}");
+        assert!(names.contains("other other view 7") && names.contains("view 8"), "{names:?}");
     }
 
     #[test]

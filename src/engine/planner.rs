@@ -2,6 +2,9 @@
 //!
 //! Measurements belong to the content of a scene, an adapter, and a build of the shaders. They are kept in memory and as a note beside the point
 //! trees, so that another process finds them. Each frame that was drawn for a goal tells how much longer or shorter frames take than measured ones.
+//!
+//! Patched nodes make another content. A patched scene that was not measured itself uses the measurements of the scene as it was loaded, and
+//! promises nothing.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -20,7 +23,7 @@ use crate::plan::Output;
 use crate::plan::planner::{Ground, Measured, Paces, PlanReceipt, Planner};
 
 /// Version of a note.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// Most scenes whose measurements are kept in memory.
 const MOST_SCENES: usize = 64;
 /// Number of frames after which the note is written with the new pace.
@@ -32,12 +35,16 @@ type Key = [u8; 32];
 pub struct Planners {
     cache: Option<BakeCache>,
     known: Mutex<HashMap<Key, Arc<Known>>>,
+    /// Held while a note is read, written or removed, until `known` says the same as the note.
+    notes: Mutex<()>,
 }
 
 /// Measurements of a scene.
 pub struct Known {
     key: Key,
     measured: Measured,
+    /// What the measured poses showed of the scene.
+    grounds: Vec<Ground>,
     planner: Planner,
     pace: Mutex<Pace>,
 }
@@ -52,6 +59,8 @@ struct Pace {
 struct Note {
     version: u32,
     measured: Measured,
+    /// Other revisions of the scene show something else at the same poses.
+    grounds: Vec<Ground>,
     #[serde(default)]
     paces: Paces,
 }
@@ -66,7 +75,8 @@ pub struct PlannedFrame {
 }
 
 impl Known {
-    fn new(key: Key, loaded: &Loaded, measured: Measured, paces: Paces) -> Known {
+    /// Measurements of a scene that was measured as it is loaded.
+    fn new(key: Key, loaded: &Loaded, measured: Measured) -> Known {
         let grounds: Vec<Ground> = measured
             .poses
             .iter()
@@ -75,16 +85,21 @@ impl Known {
                 Some(ground(loaded, &pose.camera()?.view(width, height).ok()?))
             })
             .collect();
+        Known::fit(key, measured, grounds, Paces::default())
+    }
+
+    fn fit(key: Key, measured: Measured, grounds: Vec<Ground>, paces: Paces) -> Known {
         // A pose without a view would move the others.
         let is_whole = grounds.len() == measured.poses.len();
-        let measured = if is_whole { measured } else { Measured::default() };
+        let (measured, grounds) = if is_whole { (measured, grounds) } else { Default::default() };
         let planner = Planner::fit(&measured, &grounds);
-        Known { key, measured, planner, pace: Mutex::new(Pace { paces, unwritten: 0 }) }
+        Known { key, measured, grounds, planner, pace: Mutex::new(Pace { paces, unwritten: 0 }) }
     }
 
     fn write(&self, cache: Option<&BakeCache>, paces: Paces) {
         let Some(cache) = cache else { return };
-        let note = Note { version: VERSION, measured: self.measured.clone(), paces };
+        let (measured, grounds) = (self.measured.clone(), self.grounds.clone());
+        let note = Note { version: VERSION, measured, grounds, paces };
         let text = serde_json::to_vec(&note).map_err(std::io::Error::from);
         if let Err(error) = text.and_then(|text| cache.store_note(&self.key, &text)) {
             tracing::warn!(%error, "measurements for the planner cannot be kept");
@@ -94,7 +109,7 @@ impl Known {
 
 impl Planners {
     pub fn new(cache: Option<BakeCache>) -> Planners {
-        Planners { cache, known: Mutex::default() }
+        Planners { cache, known: Mutex::default(), notes: Mutex::default() }
     }
 
     fn keep(&self, known: Known) -> Arc<Known> {
@@ -111,41 +126,73 @@ impl Planners {
         known
     }
 
-    /// The measurements of a scene, from memory or from its note.
-    fn find(&self, key: Key, loaded: &Loaded) -> Option<Arc<Known>> {
-        if let Some(known) = self.known.lock().get(&key) {
-            return Some(known.clone());
+    /// The measurements of a content, from memory or from its note.
+    fn find(&self, key: Key) -> Option<Arc<Known>> {
+        let in_memory = || self.known.lock().get(&key).cloned();
+        if let Some(known) = in_memory() {
+            return Some(known);
         }
-        let text = self.cache.as_ref()?.load_note(&key)?;
-        let note: Note = serde_json::from_slice(&text).ok()?;
-        (note.version == VERSION)
-            .then(|| self.keep(Known::new(key, loaded, note.measured, note.paces)))
+        let cache = self.cache.as_ref()?;
+        let _notes = self.notes.lock();
+        if let Some(known) = in_memory() {
+            return Some(known);
+        }
+        let note: Note = serde_json::from_slice(&cache.load_note(&key)?).ok()?;
+        let Note { version, measured, grounds, paces } = note;
+        (version == VERSION).then(|| self.keep(Known::fit(key, measured, grounds, paces)))
     }
 
-    /// Numbers of settings and poses of a scene's measurements.
+    /// The measurements that a scene uses, and whether they are of its present content.
+    fn find_for(&self, state: &EngineState, loaded: &Loaded) -> Option<(Arc<Known>, bool)> {
+        let own = self.find(key(state, &loaded.digest)).map(|known| (known, true));
+        own.or_else(|| {
+            let is_patched = loaded.digest != loaded.origin;
+            let known = is_patched.then(|| self.find(key(state, &loaded.origin)))??;
+            Some((known, false))
+        })
+    }
+
+    /// Numbers of settings and poses of the measurements that a scene uses.
     pub fn size(&self, state: &EngineState, loaded: &Loaded) -> Option<[usize; 2]> {
-        let known = self.find(key(state, loaded), loaded)?;
+        let (known, _) = self.find_for(state, loaded)?;
         Some([known.planner.len(), known.measured.poses.len()])
     }
 
-    /// Takes on measurements of a scene. Returns the number of settings that can be chosen.
+    /// Takes on measurements of a scene's present content. Returns the number of settings that can be chosen.
     pub fn learn(&self, state: &EngineState, loaded: &Loaded, measured: Measured) -> usize {
-        let known = Known::new(key(state, loaded), loaded, measured, Paces::default());
-        known.write(self.cache.as_ref(), Paces::default());
-        self.keep(known).planner.len()
+        let known = Known::new(key(state, &loaded.digest), loaded, measured);
+        self.replace(known).planner.len()
     }
 
-    /// Forgets the measurements of a scene. Returns whether there were any.
+    /// Takes on measurements, in memory and as a note.
+    fn replace(&self, known: Known) -> Arc<Known> {
+        let _notes = self.notes.lock();
+        known.write(self.cache.as_ref(), Paces::default());
+        self.keep(known)
+    }
+
+    /// Forgets the measurements that a scene uses. Returns whether there were any.
     pub fn forget(&self, state: &EngineState, loaded: &Loaded) -> bool {
-        let key = key(state, loaded);
-        let was_known = self.known.lock().remove(&key).is_some();
-        let had_note = self.cache.as_ref().is_some_and(|cache| cache.remove_note(&key));
+        let keys = [loaded.digest, loaded.origin].map(|content| key(state, &content));
+        keys.map(|key| self.remove(&key)).contains(&true)
+    }
+
+    fn remove(&self, key: &Key) -> bool {
+        let _notes = self.notes.lock();
+        let was_known = self.known.lock().remove(key).is_some();
+        let had_note = self.cache.as_ref().is_some_and(|cache| cache.remove_note(key));
         was_known || had_note
     }
 
-    /// Takes a drawn frame into account that took `actual_ms`, and completes its receipt.
-    pub fn see(&self, planned: &PlannedFrame, actual_ms: Option<f64>) -> PlanReceipt {
-        if let (Some((known, row, measured_ms)), Some(actual_ms)) = (&planned.from, actual_ms) {
+    /// Completes the receipt of a drawn frame that took `actual_ms`. Takes the frame into account if it did the work of a measured frame.
+    pub fn see(
+        &self,
+        planned: &PlannedFrame,
+        actual_ms: Option<f64>,
+        is_as_measured: bool,
+    ) -> PlanReceipt {
+        let from = planned.from.as_ref().filter(|_| is_as_measured);
+        if let (Some((known, row, measured_ms)), Some(actual_ms)) = (from, actual_ms) {
             let mut pace = known.pace.lock();
             pace.paces.see(*row, *measured_ms, actual_ms);
             pace.unwritten += 1;
@@ -155,10 +202,19 @@ impl Planners {
             });
             drop(pace);
             if let Some(paces) = due {
-                known.write(self.cache.as_ref(), paces);
+                self.write_paces(known, paces);
             }
         }
         PlanReceipt { actual_ms, ..planned.receipt.clone() }
+    }
+
+    /// Writes the note of measurements anew, unless they were replaced or removed while a frame was drawn from them.
+    fn write_paces(&self, known: &Arc<Known>, paces: Paces) {
+        let _notes = self.notes.lock();
+        let held = self.known.lock().get(&known.key).cloned();
+        if held.is_some_and(|held| Arc::ptr_eq(&held, known)) {
+            known.write(self.cache.as_ref(), paces);
+        }
     }
 }
 
@@ -168,8 +224,8 @@ fn ground(loaded: &Loaded, view: &View) -> Ground {
     Ground::new(kinds.map(|kind| loaded.patches(kind)), view)
 }
 
-/// Stands for the content of a scene, the adapter and the shaders.
-fn key(state: &EngineState, loaded: &Loaded) -> Key {
+/// Stands for the content of a scene, which has this digest, the adapter and the shaders.
+fn key(state: &EngineState, content: &[u8; 32]) -> Key {
     let adapter = state.adapter();
     let mut hasher = Sha256::new();
     for part in ["planner", &adapter.renderer, &adapter.name] {
@@ -177,8 +233,7 @@ fn key(state: &EngineState, loaded: &Loaded) -> Key {
         hasher.update(part);
     }
     hasher.update([u8::from(adapter.atomics_64)]);
-    // Moved nodes change the ground, and not what was measured.
-    hasher.update(loaded.origin);
+    hasher.update(content);
     hasher.finalize().into()
 }
 
@@ -199,8 +254,8 @@ pub fn planned(
         let receipt = goal.unplanned(because.to_owned());
         (with(asked.without_goal()), Some(PlannedFrame { receipt, from: None }))
     };
-    let known = state.planners.find(key(state, loaded), loaded);
-    let Some(known) = known.filter(|known| !known.planner.is_empty()) else {
+    let found = state.planners.find_for(state, loaded);
+    let Some((known, is_own)) = found.filter(|(known, _)| !known.planner.is_empty()) else {
         return unplanned(
             "the scene was not measured for the planner on this adapter, so the settings are those without a goal",
         );
@@ -214,7 +269,67 @@ pub fn planned(
     let Some(chosen) = known.planner.choose(&goal, &asked, &grounds, &paces, fits) else {
         return unplanned("no measured setting goes with those that are given");
     };
-    let is_as_measured = chosen.is_as_measured && request.output == Output::Color;
+    let is_as_measured = is_own && chosen.is_as_measured && request.output == Output::Color;
     let from = is_as_measured.then_some((known, chosen.row, chosen.measured_pace_ms));
-    (with(chosen.settings), Some(PlannedFrame { receipt: chosen.plan, from }))
+    let receipt = if is_own { chosen.plan } else { chosen.plan.of_other_content() };
+    (with(chosen.settings), Some(PlannedFrame { receipt, from }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::planner::{Goal, MeasuredPose};
+
+    fn known(width: u32) -> Known {
+        let pose = MeasuredPose {
+            eye: [0.0; 3],
+            target: [1.0; 3],
+            up: [0.0, 1.0, 0.0],
+            fov_deg: Some(40.0),
+            ortho_height: None,
+            size: [width, 1],
+        };
+        let measured = Measured { poses: vec![pose], rows: Vec::new() };
+        let view = pose.camera().unwrap().view(width, 1).unwrap();
+        let grounds = vec![Ground::new([&[]; 3], &view)];
+        Known::fit([7; 32], measured, grounds, Paces::default())
+    }
+
+    #[test]
+    fn frames_in_flight_bring_no_old_measurements_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let cache = BakeCache::new(folder.path().join("cache"), 1 << 20);
+        let planners = Planners::new(Some(cache.clone()));
+        let noted = || {
+            let note: Note = serde_json::from_slice(&cache.load_note(&[7; 32])?).unwrap();
+            Some((note.measured.poses[0].size[0], note.paces != Paces::default()))
+        };
+        let goal = Goal { most_ms: Some(1.0), least_db: None };
+        let draw_many = |known: &Arc<Known>| {
+            let receipt = goal.unplanned(String::new());
+            let planned = PlannedFrame { receipt, from: Some((known.clone(), 0, 1.0)) };
+            for _ in 0..WRITE_EVERY {
+                planners.see(&planned, Some(2.0), true);
+            }
+            let receipt = planners.see(&planned, Some(9.0), false);
+            assert_eq!(receipt.actual_ms, Some(9.0));
+            let pace = known.pace.lock();
+            assert_eq!(pace.unwritten, 0, "frames with less work tell nothing");
+        };
+        let old = planners.replace(known(1));
+        draw_many(&old);
+        assert_eq!(noted(), Some((1, true)));
+        let new = planners.replace(known(2));
+        draw_many(&old);
+        assert_eq!(noted(), Some((2, false)), "it was replaced");
+        draw_many(&new);
+        assert_eq!(noted(), Some((2, true)));
+        assert!(planners.remove(&[7; 32]));
+        draw_many(&new);
+        assert_eq!(noted(), None, "it was removed");
+        // Another process finds the note with its grounds.
+        planners.replace(known(3));
+        let found = Planners::new(Some(cache)).find([7; 32]).unwrap();
+        assert_eq!(found.grounds, known(3).grounds);
+    }
 }

@@ -18,12 +18,11 @@ use crate::gpu::buffer::Buffer;
 use crate::gpu::readback::{Landing, Ring};
 use crate::gpu::timing::Timer;
 use crate::gpu::{Gpu, GpuError, GpuOptions};
-use crate::math::View;
 use crate::passes::{
-    self, Context, FrameTask, MAP_WEIGHT, MapKey, PassSpan, Pipelines, Round, Scratch, ShadowMaps,
-    Shadows, Uniforms,
+    self, Context, FrameTask, MapKey, PassSpan, Pipelines, Round, Scratch, ShadowMaps, Shadows,
+    Uniforms,
 };
-use crate::plan::{Output, Pass};
+use crate::plan::Pass;
 use crate::residency::layout::{GpuStats, MOST_VIEWS};
 use crate::residency::model::SceneModel;
 use crate::residency::{Residency, ResidencyError};
@@ -317,6 +316,10 @@ impl Renderer {
         // Groups are never empty.
         let job = &jobs[0];
         let task = self.task(jobs);
+        if job.frame.request.settings.draws_maps {
+            self.shadow_maps.remove(&task.model.id);
+            self.binds.borrow_mut().clear();
+        }
         let shadows = self.shadows(&task, job.drawing());
         let task = FrameTask { shadows, ..task };
         let exposures = &job.frame.exposures;
@@ -405,25 +408,7 @@ impl Renderer {
             accepted_px: drawing.settings.accepted_px(),
             clip: task.clip,
         };
-        let map = |view: &View| FrameTask {
-            views: vec![*view],
-            output: Output::Depth,
-            plan: frames.plan.clone(),
-            reconstruction: frames.reconstruction,
-            weight_one: MAP_WEIGHT,
-            accepted_px: drawing.settings.accepted_px(),
-            levels: false,
-            recolor: None,
-            edl: None,
-            environment: false,
-            fog: None,
-            occlusion: None,
-            parts: 1,
-            least_line_px: 0.0,
-            opaque_only: true,
-            ..task.clone()
-        };
-        let tasks = frames.views.iter().map(map).collect();
+        let tasks = frames.views.iter().map(|view| key.task(*view, task)).collect();
         let (set, sources) = self.shadow_maps.get(&self.gpu, &self.binds, key, &frames.views);
         Some(Shadows { tasks, set, sources })
     }

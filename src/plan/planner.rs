@@ -62,7 +62,7 @@ struct Row {
 }
 
 /// How long frames take now, over how long they took when they were measured.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Paces {
     /// For each row: mean logarithm of the quotients, and number of frames.
@@ -89,8 +89,8 @@ pub struct PlanReceipt {
     pub budget_ms: Option<f64>,
     /// Least peak signal-to-noise ratio that was asked for, in decibels.
     pub min_psnr_db: Option<f64>,
-    /// Whether the chosen setting is expected to keep them; `null` where no measurements tell, and where the request gives settings that were not varied
-    /// when the scene was measured.
+    /// Whether the chosen setting is expected to keep them; `null` where no measurements tell, where the request gives settings that were not varied
+    /// when the scene was measured, and where nodes of the scene were changed after the measurement.
     pub keeps: Option<bool>,
     /// Why this setting was chosen.
     pub because: String,
@@ -158,6 +158,14 @@ impl Goal {
 impl PlanReceipt {
     pub fn goal(&self) -> Goal {
         Goal { most_ms: self.budget_ms, least_db: self.min_psnr_db }
+    }
+
+    /// The receipt of a choice for a scene that was patched after it was measured: nothing is promised.
+    #[must_use]
+    pub fn of_other_content(self) -> PlanReceipt {
+        let because =
+            format!("{}; the scene was measured before its nodes were changed", self.because);
+        PlanReceipt { keeps: None, because, ..self }
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use glam::{DAffine3, DVec3};
 use pointillist::bake::cache::BakeCache;
 use pointillist::engine::{FrameRequest, NodePatch, Pose, Receipt};
 use pointillist::math::{Camera, Lens};
@@ -144,11 +145,28 @@ fn measurements_outlive_the_engine_and_belong_to_the_content() {
     // Under another id as well, but not for another content.
     second.load_json("other", &cloud_scene("wall.ply"));
     assert_eq!(second.engine.planner_size("other").unwrap(), Some([4, 8]));
-    // Moved nodes are another ground, and the same content.
-    let moved = NodePatch { visible: Some(true), ..NodePatch::default() };
+    // Moved nodes are another content: what was measured chooses, and promises nothing.
+    let aside = DAffine3::from_translation(DVec3::new(0.1, 0.0, 0.0));
+    let moved = NodePatch { world_from_node: Some(aside), ..NodePatch::default() };
     second.engine.patch("other", "wall", &moved).unwrap();
     assert_eq!(second.engine.planner_size("other").unwrap(), Some([4, 8]));
+    let plan_of = |studio: &Studio, scene: &str| {
+        let request = FrameRequest { scene: scene.to_owned(), ..asking(&[("min_psnr_db", "33")]) };
+        studio.frame(&request).receipt.planned.clone().unwrap()
+    };
+    let plan = plan_of(&second, "other");
+    assert_eq!((plan.keeps, plan.chosen.unwrap().setting.as_str()), (None, "splats"));
+    assert!(plan.because.contains("before its nodes were changed"), "{}", plan.because);
+    assert_eq!(plan_of(&second, "cloud").keeps, Some(true));
+    // What is measured of it is no measurement of the scene as it was loaded.
+    let mut own = measured();
+    own.rows.truncate(3);
+    second.engine.learn("other", own).unwrap();
+    assert_eq!(plan_of(&second, "other").keeps, Some(true));
+    assert_eq!(second.engine.planner_size("other").unwrap(), Some([3, 8]));
+    assert_eq!(second.engine.planner_size("cloud").unwrap(), Some([4, 8]));
     drop(second);
+    assert_eq!(open(20).engine.planner_size("cloud").unwrap(), Some([4, 8]));
     assert_eq!(open(21).engine.planner_size("cloud").unwrap(), None);
     // A damaged note is none.
     for note in std::fs::read_dir(folder.path().join("cache")).unwrap().flatten() {

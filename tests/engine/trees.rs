@@ -11,7 +11,7 @@ use pointillist::bake::tree::{SIDEWAYS, Seen, UNTILTED, build_tree, is_drawn};
 use pointillist::engine::{FrameRequest, NodePatch, Pose};
 use pointillist::generate::{Kind, Parameters, generate, write};
 use pointillist::math::{Camera, Lens};
-use pointillist::plan::{ErrorMode, Output, Reconstruct, Settings};
+use pointillist::plan::{ErrorMode, Output, Reconstruct, Settings, Shadows};
 use serde_json::{Value, json};
 
 use super::studio::{
@@ -290,6 +290,50 @@ fn a_split_error_draws_less_of_a_sculpture() {
     let used =
         &studio.frame(&FrameRequest { settings: split(4.0), ..request }).receipt.settings.clone();
     assert_eq!(used.applied.error_mode, Some(ErrorMode::Split));
+}
+
+/// Shadow maps are kept from frame to frame, and one tag is of one picture.
+#[test]
+fn a_frame_of_a_split_error_leaves_no_shadows_to_one_of_a_unified_error() {
+    let studio = || {
+        let studio = Studio::new();
+        sculpture(&studio, Kind::Statue, 60_000);
+        let lights = json!([{ "kind": "sun", "direction": [-1, -0.6, -0.3], "shadows": true }]);
+        let mut scene = one("statue.ply");
+        scene["lights"] = lights;
+        studio.load_json("statue", &scene);
+        studio
+    };
+    let request = fit("statue", 200, Output::Color);
+    let with = |settings| FrameRequest { settings, ..request.clone() };
+    let unified = with(spt(8.0, Reconstruct::Splats));
+    let used = studio();
+    let before = used.frame(&with(split(8.0)));
+    assert!(before.receipt.passes.iter().any(|pass| pass.name == "shadow_map" && pass.ran));
+    let fresh = studio().bytes(&unified);
+    same(&used.bytes(&unified), &fresh, "unified after split");
+    let without = Settings { shadows: Shadows::Off, ..unified.settings };
+    assert!(used.bytes(&with(without)) != fresh, "there are shadows");
+}
+
+/// Times of such frames do not depend on earlier ones.
+#[test]
+fn a_frame_draws_its_shadow_maps_itself_where_it_is_told_to() {
+    let studio = Studio::new();
+    studio.write("ball.ply", sphere(20));
+    let mut scene = one("ball.ply");
+    scene["lights"] = json!([{ "kind": "sun", "direction": [-1, -0.6, -0.3], "shadows": true }]);
+    studio.load_json("ball", &scene);
+    let plain = fit("ball", 64, Output::Color);
+    let own = Settings { draws_maps: true, ..plain.settings };
+    let own = FrameRequest { settings: own, ..plain.clone() };
+    let draws_maps = |request: &FrameRequest| {
+        let frame = studio.frame(request);
+        same(&frame.bytes, &studio.bytes(&plain), "with maps of its own");
+        frame.receipt.passes.iter().any(|pass| pass.name == "shadow_map" && pass.ran)
+    };
+    assert!(draws_maps(&plain) && !draws_maps(&plain));
+    assert!(draws_maps(&own) && draws_maps(&own) && !draws_maps(&plain));
 }
 
 /// Number of nodes of a cloud's tree that `bake::tree` would draw as splats, with all of it in view.

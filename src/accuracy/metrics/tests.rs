@@ -106,6 +106,9 @@ fn depth_errors_are_relative_and_where_both_are_covered() {
     // The rank is ⌈0.99 · 198⌉ = 197 of 198: the second largest error.
     assert!((found.p99 - 0.1).abs() < 1e-15);
     assert_eq!(depth_error(&[f64::INFINITY], &[1.0]).unwrap(), None);
+    // Depths in the eye's plane have no ratio, and agree where they are equal. An infinite error would be `null` in the journal.
+    let flat = depth_error(&[0.0, 0.0, 1e-310, 2.0], &[1.0, 0.0, -1.0, 3.0]).unwrap().unwrap();
+    assert_eq!((flat.pixels, flat.max, flat.mean), (2, 0.5, 0.25));
 }
 
 #[test]

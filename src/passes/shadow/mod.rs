@@ -17,7 +17,7 @@ use crate::gpu::bind::BindCache;
 use crate::gpu::buffer::Buffer;
 use crate::math::View;
 use crate::plan::shadow::LAMP_MAPS;
-use crate::plan::{FramePlan, Reconstruction};
+use crate::plan::{ErrorMode, FramePlan, Output, Reconstruction};
 use crate::residency::layout::{GpuShadowMap, GpuStats};
 use crate::scene::clipping::ClipRegion;
 use crate::scene::{Casting, Light, MOST_CASTING_LIGHTS};
@@ -65,7 +65,7 @@ impl Shadows {
     }
 }
 
-/// All that the depths of maps depend on besides their views.
+/// All that the depths of maps depend on besides their views and the adapter.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapKey {
     pub scene: String,
@@ -75,6 +75,49 @@ pub struct MapKey {
     pub reconstruction: Reconstruction,
     pub accepted_px: f32,
     pub clip: Option<ClipRegion>,
+}
+
+impl MapKey {
+    /// The task that draws the map of a view. Its depths follow from the key and the view alone. From `frame`, the task of a frame of the key's
+    /// scene, it takes the scene itself and the sizes of the adapter's lists.
+    pub fn task(&self, view: View, frame: &FrameTask) -> FrameTask {
+        FrameTask {
+            model: frame.model.clone(),
+            extent: frame.extent,
+            views: vec![view],
+            output: Output::Depth,
+            plan: self.plan.clone(),
+            reconstruction: self.reconstruction,
+            accepted_px: self.accepted_px,
+            clip: self.clip,
+            weight_one: MAP_WEIGHT,
+            opaque_only: true,
+            // A light sees errors from another angle than the frame's eye.
+            error_mode: ErrorMode::Unified,
+            levels: false,
+            recolor: None,
+            edl: None,
+            round: None,
+            parts: 1,
+            least_line_px: 0.0,
+            background: [0.0; 4],
+            environment: false,
+            fog: None,
+            occlusion: None,
+            tone: None,
+            image_rows: None,
+            shadows: None,
+            small_splat_px: frame.small_splat_px,
+            small_triangle_px: frame.small_triangle_px,
+            large_capacity: frame.large_capacity,
+            walk_stride: frame.walk_stride,
+            large_units_limit: frame.large_units_limit,
+            window_pixels: frame.window_pixels,
+            entry_capacity: frame.entry_capacity,
+            paint_capacity: frame.paint_capacity,
+            paint_launches: frame.paint_launches,
+        }
+    }
 }
 
 /// The maps of all lights, one behind the other, and what drawing them counted.

@@ -1,5 +1,7 @@
 //! What a pose shows of a scene, in the few figures by which the planner compares poses.
 
+use serde::{Deserialize, Serialize};
+
 use super::super::auto;
 use super::super::detail::{InView, NODES_BY_ERROR, NODES_BY_SIZE, seen, seen_segments};
 use crate::bake::spacing::Patch;
@@ -13,7 +15,7 @@ const LEAST: f64 = 1e-3;
 const AXES: usize = 4;
 
 /// A pose as the planner sees it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Ground {
     pub pixels: f64,
     /// Estimated share of the image that elements cover, from 0 to 1.
@@ -27,7 +29,7 @@ pub struct Ground {
 }
 
 /// Elements that a frame has to draw.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Load {
     pub samples: f64,
     pub triangles: f64,

@@ -66,8 +66,23 @@ mod tests {
         assert_eq!(finer.edl_radius_px.get(), 4.0 * exact.edl_radius_px.get());
         assert_eq!(finer.background.map(Background::linear), Some([0.0; 4]));
         assert_eq!(exact.finer(1, false), exact);
-        // The largest radius stays the largest.
-        assert_eq!(exact.finer(100, false).edl_radius_px.get(), 16.0);
+    }
+
+    /// A reference of clamped lengths would show another effect.
+    #[test]
+    fn references_draw_the_largest_lengths_in_full() {
+        let mut given = Given::default();
+        for (name, value) in [("edl", "on"), ("edl_radius_px", "16"), ("line_width_px", "64")] {
+            given.set_text(name, value).unwrap();
+        }
+        let finer = given.resolve().unwrap().finer(crate::accuracy::truth::PARTS, false);
+        // As settings of a frame, which are read from those that affect it.
+        let drawn = Settings::from(finer.applied());
+        assert_eq!((drawn.edl_radius_px.get(), drawn.least_line_px()), (64.0, 256.0));
+        // Requests are held to their range.
+        let mut wide = given;
+        wide.edl_radius_px = Some(16.5);
+        assert_eq!(wide.resolve().unwrap_err().setting, "edl_radius_px");
     }
 
     #[test]

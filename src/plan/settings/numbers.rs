@@ -7,9 +7,9 @@ use super::SettingKind;
 /// What holds without a value of a number that the scene may give.
 const SCENES: &str = "the scene’s";
 
-/// Declares types of bounded numbers: name, unit, range and default.
+/// Declares types of bounded numbers: name, unit, range and default, and for lengths how many times the largest one references may draw.
 macro_rules! numbers {
-    ($($(#[doc = $doc:literal])+ $name:ident: $least:literal to $most:literal $unit:literal, $default:literal;)+) => {$(
+    ($($(#[doc = $doc:literal])+ $name:ident: $least:literal to $most:literal $unit:literal, $default:literal $(, drawn $times:literal times)?;)+) => {$(
         $(#[doc = $doc])+
         #[derive(Clone, Copy, Debug)]
         pub struct $name(f32);
@@ -17,10 +17,13 @@ macro_rules! numbers {
         impl $name {
             /// Least and largest value.
             pub const RANGE: [f32; 2] = [$least, $most];
+            /// Least and largest value that frames are drawn with.
+            const DRAWN: [f32; 2] = [$least, $most $(* $times)?];
 
-            /// `None` for values outside the range.
+            /// `None` for values that frames are not drawn with.
             pub fn new(value: f32) -> Option<$name> {
-                ($least..=$most).contains(&value).then_some($name(value))
+                let [least, most] = $name::DRAWN;
+                (least..=most).contains(&value).then_some($name(value))
             }
 
             pub fn get(self) -> f32 {
@@ -40,7 +43,7 @@ macro_rules! numbers {
         }
 
         impl From<f64> for $name {
-            /// The default for values outside the range; [`super::Given::check`] refuses these before.
+            /// The default for values that cannot be drawn. [`super::Given::check`] refuses those outside the range of requests before.
             fn from(value: f64) -> Self {
                 $name::new(value as f32).unwrap_or_default()
             }
@@ -82,11 +85,11 @@ numbers! {
     /// Diameter of points in scene units.
     PointSize: 0.0 to 1e9 "scene units", 0.0;
     /// Least width of lines, in pixels.
-    LineWidthPx: 0.0 to 64.0 "pixels", 0.0;
+    LineWidthPx: 0.0 to 64.0 "pixels", 0.0, drawn 4.0 times;
     /// Strength of eye-dome lighting: doubling it squares what is left of a pixel's light.
     EdlStrength: 0.0 to 10.0 "", 0.6;
     /// Distance of the neighbours that eye-dome lighting compares a pixel with, in pixels.
-    EdlRadius: 1.0 to 16.0 "pixels", 1.4;
+    EdlRadius: 1.0 to 16.0 "pixels", 1.4, drawn 4.0 times;
     /// Exposure, in stops.
     Exposure: -16.0 to 16.0 "stops", 0.0;
     /// Diameter of a lens, in scene units.
@@ -181,10 +184,10 @@ switched! {
 macro_rules! lengths {
     ($($name:ident),+) => {$(
         impl $name {
-            /// The number times `scale`, or the nearest in the range.
+            /// The number times `scale`, or the nearest that can be drawn.
             #[must_use]
             pub fn times(self, scale: f32) -> $name {
-                let [least, most] = $name::RANGE;
+                let [least, most] = $name::DRAWN;
                 $name((self.0 * scale).clamp(least, most))
             }
         }
