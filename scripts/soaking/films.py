@@ -122,10 +122,12 @@ class Producer(Actor):
             self.lose(job, f"{state} for {PATIENCE} s: {found}")
 
     def failed(self, job, error):
-        """A full disk, and kills at one frame again and again, may fail a job. Then it goes on when it is told to."""
+        """A full disk, and workers that end or lose their device at one frame again and again, may fail a job. Then it goes on when it is told to."""
         text = f"{error['type']} {error['detail']}"
-        is_disk = self.world.overlaps(self.world.full_disks, job.since, time.monotonic())
-        if "is set aside" in text or (is_disk and ("storage" in text or "is full" in text or "No space" in text)):
+        now = time.monotonic()
+        is_disk = self.world.overlaps(self.world.full_disks, job.since, now)
+        is_aside = "is set aside" in text and (is_disk or self.world.overlaps(self.world.worker_ends, job.since, now))
+        if is_aside or (is_disk and ("storage" in text or "is full" in text or "No space" in text)):
             self.world.count("jobs failed by faults")
             if self.change(job, "resume"):
                 job.since = time.monotonic()

@@ -5,6 +5,7 @@ import os
 import signal
 import statistics
 import time
+from contextlib import contextmanager
 
 from processes import Processes, free_port, nats_command, write_wall
 from soaking.clients import Actor
@@ -118,8 +119,18 @@ class Faults(Actor):
     def worker(self):
         return self.chance.choice(self.cluster.workers if self.is_hard else self.cluster.workers[1:])
 
+    @contextmanager
+    def ending_workers(self):
+        """Notes that workers end or lose their device meanwhile, which may set frames aside."""
+        self.world.begin(self.world.worker_ends)
+        try:
+            yield
+        finally:
+            self.world.finish(self.world.worker_ends)
+
     def kill_worker(self):
-        self.cluster.restart(self.worker())
+        with self.ending_workers():
+            self.cluster.restart(self.worker())
 
     def stop_worker(self):
         name = self.worker()
@@ -143,8 +154,9 @@ class Faults(Actor):
 
     def lose_worker_device(self):
         name = self.worker()
-        if not self.cluster.lose_device(name):
-            self.world.fault("lost process", f"{name} did not lose its device when told to")
+        with self.ending_workers():
+            if not self.cluster.lose_device(name):
+                self.world.fault("lost process", f"{name} did not lose its device when told to")
 
     def hang_up(self):
         """Another guest key: the old one is refused from then on."""
@@ -193,8 +205,9 @@ class Faults(Actor):
     def kill_all(self):
         """Everything at once, as when a machine loses its power."""
         others = ["broker", *self.cluster.workers]
-        for name in others:
-            self.cluster.end(name, signal.SIGKILL)
+        with self.ending_workers():
+            for name in others:
+                self.cluster.end(name, signal.SIGKILL)
         self.soak.restart_daemon(signal.SIGKILL, lambda: [self.cluster.start(name) for name in others])
 
 

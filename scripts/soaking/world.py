@@ -131,7 +131,7 @@ class World:
         self.lock = threading.Lock()
         self.counts = Counter()
         self.faults = []
-        self.outages, self.full_disks = [], []
+        self.outages, self.full_disks, self.worker_ends = [], [], []
         self.serving, self.running = threading.Event(), threading.Event()
         self.ended = threading.Event()
         self.parked, self.actors = 0, 0

@@ -302,9 +302,9 @@ impl Broker {
         Ok(queued.pending + queued.drawing)
     }
 
-    /// Queues a run. `id` is unique to the message: the server drops a second one with the same id.
-    pub async fn queue(&self, kind: &str, run: &Run, id: &str) -> Result<(), BrokerError> {
-        let message = PublishMessage::build().payload(json(run)).message_id(id);
+    /// Queues a run. The server drops a second message with the same [`Run::message_id`].
+    pub async fn queue(&self, kind: &str, run: &Run) -> Result<(), BrokerError> {
+        let message = PublishMessage::build().payload(json(run)).message_id(run.message_id());
         let published = async {
             let sent = self.context.send_publish(runs(kind, &run.film), message).await;
             sent.map_err(failed("queue a run"))?.await.map_err(failed("queue a run"))

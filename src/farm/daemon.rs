@@ -179,10 +179,19 @@ impl Remote for Farm {
         let set_aside = self.shared.set_aside.load(Ordering::Relaxed);
         let roster = self.shared.roster.lock();
         let (kind, identity) = (self.shared.known_kind(), &self.shared.identity);
-        let workers = roster.of_kind(kind, now);
+        let (workers, paused_workers) = (roster.of_kind(kind, now), roster.paused(kind, now));
         let other_workers = roster.others(kind, identity, now).into_values().sum();
         let is_connected = self.shared.broker.is_connected();
-        Load { is_connected, workers, other_workers, pending, drawing, redelivered, set_aside }
+        Load {
+            is_connected,
+            workers,
+            paused_workers,
+            other_workers,
+            pending,
+            drawing,
+            redelivered,
+            set_aside,
+        }
     }
 
     fn draw(
@@ -209,14 +218,14 @@ impl Remote for Farm {
             let text = serde_json::to_vec(&film_order);
             let text = text.map_err(|error| FilmError::Elsewhere(error.to_string()))?;
             let film = shared.film_name(kind, order.job, &text);
-            let desk = Desk::new(&film, order.frames);
+            let desk = Desk::new(&film, RequestId::fresh().to_string(), order.frames);
             let collection = Collection {
                 shared,
                 kind,
                 film: film.clone(),
-                generation: RequestId::fresh().to_string(),
                 order: text,
                 desk,
+                is_purged: false,
                 aside: BTreeMap::new(),
                 unqueued: None,
                 obstacle: None,
@@ -226,14 +235,17 @@ impl Remote for Farm {
             };
             let sharing = Sharing::begin(&shared.films);
             let collected = tokio::select! {
-                collected = collection.collect(keep, tell) => collected,
-                () = stopped(stop) => Ok(()),
+                collected = collection.collect(keep, tell) => Some(collected),
+                () = stopped(stop) => None,
             };
             drop(sharing);
-            // The frames are in the job's folder. A worker that still draws some finds no order and stops.
+            let is_over = collected.is_some() || !(order.is_pause)();
             let cleared = async {
                 let purged = shared.broker.purge(kind, &film).await;
-                shared.store.remove(&film).await?;
+                if is_over {
+                    // The frames are in the job's folder. A worker that still draws some finds no order and stops.
+                    shared.store.remove(&film).await?;
+                }
                 Ok::<(), Trouble>(purged?)
             };
             match tokio::time::timeout(CLEAR, cleared).await {
@@ -241,7 +253,7 @@ impl Remote for Farm {
                 Ok(Err(error)) => tracing::warn!(film, %error, "cannot clear up after a film"),
                 Err(_) => tracing::warn!(film, "clearing up after a film takes too long"),
             }
-            collected
+            collected.unwrap_or(Ok(()))
         })
     }
 }
@@ -306,10 +318,10 @@ struct Collection<'a> {
     shared: &'a Shared,
     kind: &'a str,
     film: String,
-    /// Distinguishes the messages of this process from those of an earlier one, which were removed from the queue.
-    generation: String,
     order: Vec<u8>,
     desk: Desk,
+    /// The runs of an earlier process are removed from the queue.
+    is_purged: bool,
     /// Why frames are set aside.
     aside: BTreeMap<u64, String>,
     /// A run that the broker has not confirmed.
@@ -390,13 +402,17 @@ impl Collection<'_> {
         tokio::time::sleep(PAUSE).await;
     }
 
-    /// Stores what workers need, and removes runs of an earlier process. Returns the film's notes.
-    async fn prepare(&self) -> Result<async_nats::Subscriber, Trouble> {
+    /// Stores what workers need. The first time, removes runs of an earlier process: later runs in the queue are those of this process,
+    /// which the desk counts as queued. Returns the film's notes.
+    async fn prepare(&mut self) -> Result<async_nats::Subscriber, Trouble> {
         let (Shared { broker, store, .. }, kind) = (self.shared, self.kind);
         store.put_order(&self.film, self.order.clone()).await?;
         broker.prepare(kind).await?;
         let heard = broker.hear(&notes(&self.film)).await?;
-        broker.purge(kind, &self.film).await?;
+        if !self.is_purged {
+            broker.purge(kind, &self.film).await?;
+            self.is_purged = true;
+        }
         Ok(heard)
     }
 
@@ -408,8 +424,7 @@ impl Collection<'_> {
             let films = films.load(Ordering::Relaxed);
             let next = || self.desk.next(workers, films, Instant::now());
             let Some(run) = self.unqueued.take().or_else(next) else { return Ok(()) };
-            let id = format!("{}-{}-{}", self.film, self.generation, run.id);
-            if let Err(error) = broker.queue(kind, &run, &id).await {
+            if let Err(error) = broker.queue(kind, &run).await {
                 // It may be queued all the same; the broker then drops the second one.
                 self.unqueued = Some(run);
                 return Err(error.into());

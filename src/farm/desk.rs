@@ -35,6 +35,8 @@ struct Sent {
 #[derive(Debug)]
 pub struct Desk {
     film: String,
+    /// Identifier of this desk in its runs.
+    generation: String,
     frames: BTreeMap<u64, Outstanding>,
     /// Frames that are in no run.
     waiting: BTreeSet<u64>,
@@ -44,10 +46,11 @@ pub struct Desk {
 }
 
 impl Desk {
-    pub fn new(film: &str, frames: Vec<Wanted>) -> Desk {
+    pub fn new(film: &str, generation: String, frames: Vec<Wanted>) -> Desk {
         let outstanding = |Wanted { number, tag }| (number, Outstanding { tag, run: None });
         Desk {
             film: film.to_owned(),
+            generation,
             waiting: frames.iter().map(|frame| frame.number).collect(),
             frames: frames.into_iter().map(outstanding).collect(),
             sent: BTreeMap::new(),
@@ -80,7 +83,8 @@ impl Desk {
             }
         }
         self.sent.insert(id, Sent { frames: numbers, seen: now });
-        Some(Run { film: self.film.clone(), id, frames })
+        let (film, generation) = (self.film.clone(), self.generation.clone());
+        Some(Run { film, generation, id, frames })
     }
 
     /// Returns the tag of a frame that has not arrived.
@@ -161,7 +165,7 @@ mod tests {
     fn runs_that_nobody_has_are_queued_again_when_a_worker_is_idle() {
         let start = Instant::now();
         let late = start + LOST_AFTER;
-        let mut desk = Desk::new("f", frames(8));
+        let mut desk = Desk::new("f", "g".to_owned(), frames(8));
         let first = desk.next(1, 1, start).unwrap();
         assert_eq!((first.id, first.frames.len()), (0, 4));
         let second = desk.next(1, 1, start).unwrap();
@@ -183,7 +187,7 @@ mod tests {
     #[test]
     fn films_share_the_workers() {
         let runs = |workers, films| {
-            let mut desk = Desk::new("f", frames(100_000));
+            let mut desk = Desk::new("f", "g".to_owned(), frames(100_000));
             std::iter::from_fn(|| desk.next(workers, films, Instant::now())).count()
         };
         // Three runs for each worker of the film's share, so that the first run of another film does not wait for all of theirs.
@@ -198,7 +202,7 @@ mod tests {
             steps in prop::collection::vec((0u8..4, 0usize..60), 0..200),
         ) {
             let mut now = Instant::now();
-            let mut desk = Desk::new("f", frames(count));
+            let mut desk = Desk::new("f", "g".to_owned(), frames(count));
             let (mut queued, mut arrived): (Vec<u64>, Vec<u64>) = (Vec::new(), Vec::new());
             let rest = (0..2 * count as usize).map(|i| ((i % 2) as u8, 0));
             for (what, which) in steps.into_iter().chain(rest) {

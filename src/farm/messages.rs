@@ -71,7 +71,9 @@ pub struct FilmOrder {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Run {
     pub film: String,
-    /// Number of the run. The single frames into which a run is split keep it.
+    /// Identifier of what queued the run, drawn at random for each time that a process begins or continues the film.
+    pub generation: String,
+    /// Number of the run in its generation. The single frames into which a run is split keep it.
     pub id: u64,
     pub frames: Vec<Wanted>,
 }
@@ -88,11 +90,21 @@ impl Run {
         format!("{}-{}", end(self.frames.first()), end(self.frames.last()))
     }
 
+    /// Returns the identifier by which the broker recognises a run that is queued twice. Run numbers restart in each generation,
+    /// and the broker remembers the identifiers of runs that were purged.
+    pub fn message_id(&self) -> String {
+        format!("{}-{}-{}-{}", self.film, self.generation, self.id, self.key())
+    }
+
     /// Returns the runs of one frame each.
     pub fn split(&self) -> impl Iterator<Item = Run> {
-        let Run { film, id, frames } = self;
-        let one = |frame: &Wanted| Run { film: film.clone(), id: *id, frames: vec![frame.clone()] };
-        frames.iter().map(one)
+        let one = |frame: &Wanted| Run {
+            film: self.film.clone(),
+            generation: self.generation.clone(),
+            id: self.id,
+            frames: vec![frame.clone()],
+        };
+        self.frames.iter().map(one)
     }
 }
 
@@ -126,6 +138,9 @@ pub struct Beat {
     pub busy: Option<(String, u64)>,
     /// Time for which it has waited, in milliseconds.
     pub idle_ms: u64,
+    /// The worker failed at several runs in a row and pulls no run for a while.
+    #[serde(default)]
+    pub is_paused: bool,
 }
 
 #[cfg(test)]
@@ -136,7 +151,7 @@ mod tests {
     fn runs_are_split_into_frames_that_keep_their_run() {
         let frames: Vec<Wanted> =
             (3..6).map(|number| Wanted { number, tag: format!("t{number}") }).collect();
-        let run = Run { film: "f".to_owned(), id: 7, frames };
+        let run = Run { film: "f".to_owned(), generation: "g".to_owned(), id: 7, frames };
         let named = |film: &str| Run { film: film.to_owned(), ..run.clone() }.is_sound();
         assert!(named(&"0af9".repeat(8)));
         assert!(
@@ -146,6 +161,15 @@ mod tests {
         let split: Vec<Run> = run.split().collect();
         assert_eq!(split.iter().map(Run::key).collect::<Vec<_>>(), ["3-3", "4-4", "5-5"]);
         assert!(split.iter().all(|one| one.id == 7 && one.film == "f" && one.frames.len() == 1));
+        // No two messages have the same id, not even in different generations.
+        let later = Run { generation: "h".to_owned(), ..run.clone() };
+        let ids = [&run, &later].map(|run| {
+            let parts = run.split().map(|one| one.message_id()).collect::<Vec<_>>();
+            [vec![run.message_id()], parts].concat()
+        });
+        assert_eq!(ids[0][..2], ["f-g-7-3-5", "f-g-7-3-3"]);
+        let distinct: std::collections::BTreeSet<String> = ids.concat().into_iter().collect();
+        assert_eq!(distinct.len(), 8);
         let text = serde_json::to_string(&split[1]).unwrap();
         assert_eq!(serde_json::from_str::<Run>(&text).unwrap(), split[1]);
     }

@@ -18,10 +18,11 @@
 //!
 //! Whatever is killed, nothing is lost: runs are in the broker's files, frames in the store, the job on the daemon's disk. Notes may get
 //! lost; the daemon also looks into the store. It queues runs again that no worker seems to have ([`desk`]). A run that was begun and not
-//! finished is split into single frames, and a frame that was begun [`pacing::MOST_TRIES`] times is set aside: its job fails when
-//! all other frames are there.
+//! finished is split into single frames. A frame is set aside when [`pacing::MOST_TRIES`] workers ended while they drew it, or when
+//! different workers failed at it ([`tries`]); its job fails when all other frames are there. A worker that fails at several runs in a row
+//! pauses, so that the other workers get the runs.
 //!
-//! [`pacing`], [`desk`] and [`roster`] are pure.
+//! [`pacing`], [`desk`], [`roster`] and [`tries`] are pure.
 
 pub mod broker;
 pub(crate) mod bundle;
@@ -31,6 +32,7 @@ pub mod messages;
 pub mod pacing;
 pub mod roster;
 mod store;
+pub mod tries;
 mod worker;
 
 use std::path::Path;

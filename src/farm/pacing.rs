@@ -13,6 +13,13 @@ const RUNS_PER_WORKER: u64 = 3;
 const FEWEST_RUNS: u64 = 4;
 /// Number of times that a frame is begun before it is set aside.
 pub const MOST_TRIES: u64 = 3;
+/// Number of different workers that fail at a frame before it is set aside, where there are so many.
+pub const FAILED_WORKERS: usize = 2;
+/// Number of consecutive runs at which a worker fails before it pauses.
+const FAILURES: u32 = 3;
+/// First and longest pause of a worker that fails. Each pause is twice as long as the one before.
+const FIRST_PAUSE: Duration = Duration::from_secs(5);
+const MOST_PAUSE: Duration = Duration::from_secs(60);
 /// Number of times that a run of several frames is begun before each of its frames becomes a run.
 const TRIES_TOGETHER: u64 = 1;
 /// A run that no worker has named for this time, while some worker has nothing to do, is lost. The broker delivers a killed
@@ -80,10 +87,10 @@ pub enum Verdict {
     SetAside,
 }
 
-/// Decides about a run of `frames` frames that was begun `begun` times before.
-pub fn judge(begun: u64, frames: usize) -> Verdict {
+/// Decides about a run of `frames` frames that was begun `begun` times before. In `deaths` of these tries, the worker ended.
+pub fn judge(begun: u64, deaths: u64, frames: usize) -> Verdict {
     match frames {
-        0 | 1 if begun >= MOST_TRIES => Verdict::SetAside,
+        0 | 1 if deaths >= MOST_TRIES => Verdict::SetAside,
         0 | 1 => Verdict::Draw,
         _ if begun >= TRIES_TOGETHER => Verdict::Split,
         _ => Verdict::Draw,
@@ -94,6 +101,34 @@ pub fn judge(begun: u64, frames: usize) -> Verdict {
 /// draws. A fresh run of several frames seldom has any: the daemon has looked before. Runs of one frame may come from a run that was split.
 pub fn may_be_stored(begun: u64, frames: usize) -> bool {
     begun > 0 || frames <= 1
+}
+
+/// Consecutive runs at which a worker failed for reasons of its own, such as a full disk.
+#[derive(Debug, Default)]
+pub struct Streak {
+    failures: u32,
+    /// The latest run failed, and no pause has followed yet.
+    is_fresh: bool,
+}
+
+impl Streak {
+    /// Counts a run that failed.
+    pub fn fail(&mut self) {
+        self.failures = self.failures.saturating_add(1);
+        self.is_fresh = true;
+    }
+
+    /// Ends the streak: the worker has drawn frames.
+    pub fn end(&mut self) {
+        *self = Streak::default();
+    }
+
+    /// Returns the number of failures, and the pause that is due before the worker pulls again. The pause is due once for each failure.
+    pub fn pause(&mut self) -> Option<(u32, Duration)> {
+        let doubled = self.failures.checked_sub(FAILURES).filter(|_| self.is_fresh)?;
+        self.is_fresh = false;
+        Some((self.failures, (FIRST_PAUSE * (1 << doubled.min(8))).min(MOST_PAUSE)))
+    }
 }
 
 #[cfg(test)]
@@ -117,13 +152,30 @@ mod tests {
 
     #[test]
     fn frames_are_tried_together_once_and_alone_three_times() {
-        assert_eq!(judge(0, 20), Verdict::Draw);
-        assert_eq!(judge(1, 20), Verdict::Split);
-        let alone = [0, 1, 2, 3, 4].map(|begun| judge(begun, 1));
+        assert_eq!(judge(0, 0, 20), Verdict::Draw);
+        assert_eq!((judge(1, 0, 20), judge(1, 1, 20)), (Verdict::Split, Verdict::Split));
+        let alone = [0, 1, 2, 3, 4].map(|deaths| judge(4, deaths, 1));
         let [draw, aside] = [Verdict::Draw, Verdict::SetAside];
         assert_eq!(alone, [draw, draw, draw, aside, aside]);
         let looked = [(0, 20), (0, 1), (1, 20)].map(|(begun, frames)| may_be_stored(begun, frames));
         assert_eq!(looked, [false, true, true]);
+    }
+
+    #[test]
+    fn a_worker_that_fails_at_run_after_run_pauses_longer_each_time() {
+        let mut streak = Streak::default();
+        let fail = |streak: &mut Streak| {
+            streak.fail();
+            streak.pause().map(|(_, pause)| pause.as_secs())
+        };
+        let pauses: Vec<_> = (0..9).map(|_| fail(&mut streak)).collect();
+        let due = [5, 10, 20, 40, 60, 60, 60].map(Some);
+        assert_eq!(pauses, [&[None, None][..], &due].concat());
+        // A run that is passed on causes no pause, and ends no streak.
+        assert_eq!(streak.pause(), None);
+        assert_eq!(fail(&mut streak), Some(60));
+        streak.end();
+        assert_eq!([(); 3].map(|()| fail(&mut streak)), [None, None, Some(5)]);
     }
 
     proptest! {

@@ -33,6 +33,11 @@ impl Roster {
         self.alive(now).filter(|beat| beat.kind == kind).count() as u64
     }
 
+    /// Returns the number of workers of a kind that pause because they failed at several runs.
+    pub fn paused(&self, kind: &str, now: Instant) -> u64 {
+        self.alive(now).filter(|beat| beat.kind == kind && beat.is_paused).count() as u64
+    }
+
     /// Returns the number of workers of other kinds, by what distinguishes them.
     pub fn others(&self, kind: &str, identity: &str, now: Instant) -> BTreeMap<String, u64> {
         let mut others = BTreeMap::new();
@@ -55,8 +60,10 @@ impl Roster {
 
     /// Returns whether a worker of a kind has had nothing to do for a while.
     pub fn has_idle(&self, kind: &str, now: Instant) -> bool {
-        let is_idle =
-            |beat: &Beat| beat.busy.is_none() && beat.idle_ms >= IDLE_AFTER.as_millis() as u64;
+        let is_idle = |beat: &Beat| {
+            let has_waited = beat.idle_ms >= IDLE_AFTER.as_millis() as u64;
+            beat.busy.is_none() && !beat.is_paused && has_waited
+        };
         self.alive(now).any(|beat| beat.kind == kind && is_idle(beat))
     }
 }
@@ -77,6 +84,7 @@ mod tests {
             version: "1".to_owned(),
             busy: busy.map(|run| ("f".to_owned(), run)),
             idle_ms,
+            is_paused: false,
         };
         let mut roster = Roster::default();
         roster.hear(beat("a", "x", Some(7), 0), at(0));
@@ -93,6 +101,9 @@ mod tests {
         assert!(roster.others("x", "x", at(2_000)).keys().any(|what| what.contains("store")));
         roster.hear(beat("b", "x", None, 5_000), at(2_000));
         assert!(roster.has_idle("x", at(2_000)));
+        // A worker that pauses takes no run, so it is no sign of lost runs.
+        roster.hear(Beat { is_paused: true, ..beat("b", "x", None, 6_000) }, at(2_000));
+        assert_eq!((roster.has_idle("x", at(2_000)), roster.paused("x", at(2_000))), (false, 1));
         assert_eq!((roster.of_kind("x", at(5_500)), roster.runs_of("f", at(5_500))), (1, vec![]));
         roster.hear(beat("d", "x", None, 0), at(60_000));
         assert_eq!(roster.0.len(), 1);

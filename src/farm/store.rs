@@ -6,7 +6,7 @@
 //! | `assets/SHA256` | a file of a scene; removed a week after it was last stored, unless a film needs it | the daemon, once for all films |
 //! | `films/FILM/order.json` | [`FilmOrder`](super::messages::FilmOrder); removed first when the film is over | the daemon |
 //! | `films/FILM/frames/TAG` | the image with this entity tag | workers |
-//! | `films/FILM/tries/FIRST-LAST` | how often these frames were begun | workers |
+//! | `films/FILM/tries/FIRST-LAST` | [`Tries`]: which workers began these frames, and how often | workers |
 //! | `films/FILM/aside/NUMBER` | why a frame is set aside | workers |
 //!
 //! Frames carry their checksum, since a shared folder may keep half of a file after a power cut. Each operation is tried a few times.
@@ -28,6 +28,7 @@ use sha2::{Digest, Sha256};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
 use super::messages::Bundle;
+use super::tries::Tries;
 use crate::engine::RequestId;
 use crate::film::manifest::{are_digits, digits};
 
@@ -238,12 +239,12 @@ impl Store {
     /// Stores the description of a film.
     pub async fn put_order(&self, film: &str, order: Vec<u8>) -> Result<(), StoreError> {
         self.check().await?;
-        self.put(&film_path(film).join("order.json"), order.into()).await
+        self.put(&order_path(film), order.into()).await
     }
 
     /// Returns the description of a film; `None` if the film is over.
     pub async fn order(&self, film: &str) -> Result<Option<Bytes>, StoreError> {
-        self.get(&film_path(film).join("order.json")).await
+        self.get(&order_path(film)).await
     }
 
     /// Stores a frame under its tag.
@@ -268,25 +269,23 @@ impl Store {
         self.has(&frame_path(film, tag)).await
     }
 
-    /// Counts another try of a run, and returns the number of those before.
-    pub async fn count_try(&self, film: &str, run: &str) -> Result<u64, StoreError> {
-        let name = film_path(film).join("tries").join(run);
-        let text = self.get(&name).await?;
-        let before = text.and_then(|text| std::str::from_utf8(&text).ok()?.parse().ok());
-        let before: u64 = before.unwrap_or(0);
-        self.put(&name, before.saturating_add(1).to_string().into()).await?;
-        Ok(before)
-    }
-
-    /// Takes back a try that a worker has given up on its own account.
-    pub async fn take_back_try(
+    /// Changes the tries of a run, and returns them as they were before and as they are now.
+    pub async fn change_tries(
         &self,
         film: &str,
         run: &str,
-        before: u64,
-    ) -> Result<(), StoreError> {
+        change: impl FnOnce(&mut Tries),
+    ) -> Result<(Tries, Tries), StoreError> {
         let name = film_path(film).join("tries").join(run);
-        self.put(&name, before.to_string().into()).await
+        let text = self.get(&name).await?;
+        let before = text.and_then(|text| serde_json::from_slice::<Tries>(&text).ok());
+        let before = before.unwrap_or_default();
+        let mut now = before.clone();
+        change(&mut now);
+        // Names and numbers always have a JSON text.
+        let text = serde_json::to_vec(&now).unwrap_or_default();
+        self.put(&name, text.into()).await?;
+        Ok((before, now))
     }
 
     /// Records why a frame is set aside.
@@ -320,13 +319,39 @@ impl Store {
     /// Removes everything of a film, its description first.
     pub async fn remove(&self, film: &str) -> Result<(), StoreError> {
         let folder = film_path(film);
-        let order = folder.clone().join("order.json");
+        let order = order_path(film);
         absent(self.tried(|| self.objects.delete(&order)).await)?;
         let names = self.objects.list(Some(&folder)).map_ok(|found| found.location);
         let removed = names.map_err(|error| self.failed(error));
         let delete =
             |name| async move { absent(self.tried(|| self.objects.delete(&name)).await).map(drop) };
         removed.try_for_each_concurrent(AT_ONCE, delete).await
+    }
+
+    /// Returns the objects of a film that has no order. A film with an order has no leftovers.
+    pub async fn leftovers(&self, film: &str) -> Result<Vec<Path>, StoreError> {
+        let folder = film_path(film);
+        if self.has(&order_path(film)).await? {
+            return Ok(Vec::new());
+        }
+        self.tried(|| self.objects.list(Some(&folder)).map_ok(|found| found.location).try_collect())
+            .await
+    }
+
+    /// Removes leftovers of a film. If the film has an order again, as when a cancelled job is resumed, its objects stay.
+    pub async fn remove_leftovers(&self, film: &str, names: Vec<Path>) -> Result<(), StoreError> {
+        let order = order_path(film);
+        let names = names.into_iter().filter(|name| *name != order).map(Ok);
+        let delete = |name| {
+            let order = &order;
+            async move {
+                if !self.has(order).await? {
+                    absent(self.tried(|| self.objects.delete(&name)).await)?;
+                }
+                Ok(())
+            }
+        };
+        futures::stream::iter(names).try_for_each_concurrent(AT_ONCE, delete).await
     }
 
     /// Removes scenes' files that no film needs and that are a week old at the time `now`. Returns their number.
@@ -437,6 +462,10 @@ fn absent<T>(found: Result<T, StoreError>) -> Result<Option<T>, StoreError> {
 
 fn film_path(film: &str) -> Path {
     Path::from("films").join(film)
+}
+
+fn order_path(film: &str) -> Path {
+    film_path(film).join("order.json")
 }
 
 fn frame_path(film: &str, tag: &str) -> Path {

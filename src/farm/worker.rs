@@ -19,9 +19,10 @@ use super::broker::{Address, Broker, BrokerError, pull};
 use super::bundle::unpack;
 use super::messages::{Beat, Bundle, FilmOrder, Note, Run, beats, notes};
 use super::pacing::{
-    ACK_WAIT, BEAT, MOST_TRIES, PROGRESS, STORES, UNSTORED, Verdict, judge, may_be_stored,
+    ACK_WAIT, BEAT, PROGRESS, STORES, Streak, UNSTORED, Verdict, judge, may_be_stored,
 };
 use super::store::{Store, StoreError};
+use super::tries::Tries;
 use super::{Said, kind_of, stopped};
 use crate::engine::{Client, Engine, EngineError, RequestId};
 use crate::film::manifest::digits;
@@ -36,6 +37,8 @@ const AGAIN: Duration = Duration::from_secs(1);
 const QUIET: Duration = Duration::from_secs(10);
 /// Time without a finished frame after which a worker stops telling the broker that it lives. Baking a large scene takes long.
 const STUCK: Duration = Duration::from_secs(1800);
+/// Time for which a worker listens for beats of others. Each worker beats every second.
+const LISTEN: Duration = Duration::from_secs(3);
 
 /// A worker process.
 pub struct Worker {
@@ -50,13 +53,47 @@ pub struct Worker {
     /// The hash of the bundle of each loaded scene.
     scenes: tokio::sync::Mutex<HashMap<String, String>>,
     state: Mutex<State>,
+    streak: Mutex<Streak>,
 }
 
 /// The worker's activity.
 struct State {
     busy: Option<(String, u64)>,
+    /// The worker pulls no run, because it failed at several.
+    is_paused: bool,
     /// When the worker began to wait, or finished its latest frame.
     since: Instant,
+}
+
+/// Reason for another try of a run.
+struct Failure {
+    why: String,
+    /// The worker is at fault, and another one may succeed.
+    is_own: bool,
+}
+
+impl From<String> for Failure {
+    fn from(why: String) -> Failure {
+        Failure { why, is_own: false }
+    }
+}
+
+impl Failure {
+    fn of_drawing(error: &FilmError) -> Failure {
+        let is_own = match error {
+            FilmError::Engine(error) | FilmError::Frame { error, .. } => matches!(
+                error,
+                EngineError::DeviceLost { .. }
+                    | EngineError::OutOfGpuMemory { .. }
+                    | EngineError::Interrupted(_)
+                    | EngineError::NoGpu(_)
+                    | EngineError::Internal(_)
+            ),
+            FilmError::Io { .. } => true,
+            _ => false,
+        };
+        Failure { why: text(error), is_own }
+    }
 }
 
 /// How work on a run ended, where it needs no other try.
@@ -88,7 +125,8 @@ impl Worker {
             name,
             folder: folder.to_owned(),
             scenes: tokio::sync::Mutex::default(),
-            state: Mutex::new(State { busy: None, since: Instant::now() }),
+            state: Mutex::new(State { busy: None, is_paused: false, since: Instant::now() }),
+            streak: Mutex::default(),
         })
     }
 
@@ -129,7 +167,13 @@ impl Worker {
                 () = stopped(&stop) => break,
             };
             match pulled {
-                Ok(Some(message)) => self.work(&message, &stop).await,
+                Ok(Some(message)) => {
+                    self.work(&message, &stop).await;
+                    tokio::select! {
+                        () = self.pause() => {}
+                        () = stopped(&stop) => break,
+                    }
+                }
                 Ok(None) => {}
                 Err(error) => {
                     tracing::debug!(%error, "the broker gives no run");
@@ -140,6 +184,19 @@ impl Worker {
         }
         beating.abort();
         self.broker.flush().await;
+    }
+
+    /// Waits if the worker fails at run after run, so that other workers get the runs. A worker that fails at once is nearly always idle,
+    /// and would get every run again.
+    async fn pause(&self) {
+        let Some((failures, pause)) = self.streak.lock().pause() else { return };
+        tracing::warn!(
+            "the worker failed at {failures} runs in a row and pulls no run for {} seconds; check its temporary folder, host memory and GPU",
+            pause.as_secs()
+        );
+        self.state.lock().is_paused = true;
+        tokio::time::sleep(pause).await;
+        self.state.lock().is_paused = false;
     }
 
     /// Waits until a daemon has marked the store, and returns the worker's kind.
@@ -168,9 +225,9 @@ impl Worker {
         let mut interval = tokio::time::interval(BEAT);
         loop {
             interval.tick().await;
-            let (busy, since) = {
+            let (busy, is_paused, since) = {
                 let state = self.state.lock();
-                (state.busy.clone(), state.since)
+                (state.busy.clone(), state.is_paused, state.since)
             };
             let idle_ms = if busy.is_some() { 0 } else { since.elapsed().as_millis() as u64 };
             let identity = self.engine.identity();
@@ -184,6 +241,7 @@ impl Worker {
                 version: crate::VERSION.to_owned(),
                 busy,
                 idle_ms,
+                is_paused,
             };
             self.broker.tell(subject, &beat).await;
         }
@@ -194,7 +252,7 @@ impl Worker {
     }
 
     fn set_busy(&self, busy: Option<(String, u64)>) {
-        *self.state.lock() = State { busy, since: Instant::now() };
+        *self.state.lock() = State { busy, is_paused: false, since: Instant::now() };
     }
 
     /// Works on the run of a message, and answers the message.
@@ -212,7 +270,7 @@ impl Worker {
             ended = self.attempt(&run, stop) => ended,
             // This ends only with the process or when the run is stuck.
             () = self.report_progress(message) => {
-                Err(format!("no frame was finished for {} seconds", STUCK.as_secs()))
+                Err(format!("no frame was finished for {} seconds", STUCK.as_secs()).into())
             }
         };
         self.clear_up(&run).await;
@@ -222,7 +280,7 @@ impl Worker {
             Err(_) if stop.load(Ordering::Relaxed) => {
                 self.answer(message, AckKind::Nak(None)).await;
             }
-            Err(reason) => {
+            Err(Failure { why: reason, .. }) => {
                 tracing::warn!(film = run.film, run = run.id, reason, "a run failed");
                 self.tell(&run, &Note::Failed { run: run.id, reason }).await;
                 self.answer(message, AckKind::Nak(Some(AGAIN))).await;
@@ -234,13 +292,12 @@ impl Worker {
     /// Removes what the run has stored after the daemon removed its film.
     async fn clear_up(&self, run: &Run) {
         let film = &run.film;
-        let removed = async {
-            match self.store.order(film).await? {
-                None => self.store.remove(film).await,
-                Some(_) => Ok(()),
-            }
-        };
-        if let Err(error) = removed.await {
+        let removed: Result<(), StoreError> = async {
+            let left = self.store.leftovers(film).await?;
+            self.store.remove_leftovers(film, left).await
+        }
+        .await;
+        if let Err(error) = removed {
             tracing::warn!(film, %error, "cannot clear up after a film");
         }
     }
@@ -270,14 +327,14 @@ impl Worker {
     }
 
     /// Works on a run. The error is a reason for another try.
-    async fn attempt(&self, run: &Run, stop: &Arc<AtomicBool>) -> Result<Ended, String> {
+    async fn attempt(&self, run: &Run, stop: &Arc<AtomicBool>) -> Result<Ended, Failure> {
         // Where the store's file system is gone, the film is not over.
         self.store.check().await.map_err(text)?;
         let order = self.store.order(&run.film).await.map_err(text)?;
         let Some(order) = order else { return Ok(Ended::Over) };
         let order: FilmOrder = serde_json::from_slice(&order).map_err(text)?;
-        let begun = self.store.count_try(&run.film, &run.key()).await.map_err(text)?;
-        match judge(begun, run.frames.len()) {
+        let (before, _) = self.change_tries(run, |tries| tries.begin(&self.name)).await?;
+        match judge(before.begun(), before.deaths(), run.frames.len()) {
             Verdict::Draw => {}
             Verdict::Split => {
                 tracing::warn!(
@@ -286,37 +343,70 @@ impl Worker {
                     "a run was not finished; it is split"
                 );
                 for one in run.split() {
-                    let id = format!("{}-{}-{}", run.film, run.id, one.key());
-                    self.broker.queue(self.known_kind(), &one, &id).await.map_err(text)?;
+                    self.broker.queue(self.known_kind(), &one).await.map_err(text)?;
                 }
                 return Ok(Ended::Done);
             }
             Verdict::SetAside => {
-                let why = format!("it was begun {begun} times, and each time its worker ended");
+                let deaths = before.deaths();
+                let why = format!("it was begun {deaths} times, and each time its worker ended");
                 self.set_aside(run, &why).await?;
                 return Ok(Ended::Done);
             }
         }
-        let mut drawn = self.draw(run, begun, order, stop).await;
-        if drawn.is_err()
-            && let Err(gone) = self.store.check().await
-        {
-            drawn = Err(gone.to_string());
-            let _ = self.store.take_back_try(&run.film, &run.key(), begun).await;
+        let drawn = self.draw(run, before.begun(), order, stop).await;
+        let gone = if drawn.is_err() { self.store.check().await.err() } else { None };
+        let is_stopping = stop.load(Ordering::Relaxed);
+        if is_stopping || gone.is_some() {
+            // The try does not count: the worker was told to stop, or the store is not there.
+            let _ = self.change_tries(run, |tries| tries.take_back(&self.name)).await;
         }
-        if stop.load(Ordering::Relaxed) {
-            // The try does not count: the worker was told to stop.
-            let _ = self.store.take_back_try(&run.film, &run.key(), begun).await;
-            return Err("the worker stops".to_owned());
-        }
-        match drawn {
-            Ok(()) => Ok(Ended::Done),
-            Err(why) if run.frames.len() == 1 && begun + 1 >= MOST_TRIES => {
-                self.set_aside(run, &why).await?;
-                Ok(Ended::Done)
+        match (drawn, gone) {
+            _ if is_stopping => Err("the worker stops".to_owned().into()),
+            (Ok(()), _) => Ok(Ended::Done),
+            (Err(_), Some(gone)) => Err(gone.to_string().into()),
+            (Err(failure), None) => {
+                if failure.is_own {
+                    self.streak.lock().fail();
+                }
+                let (_, tries) = self.change_tries(run, |tries| tries.fail(&self.name)).await?;
+                if run.frames.len() == 1 && self.is_hopeless(&tries).await {
+                    self.set_aside(run, &failure.why).await?;
+                    return Ok(Ended::Done);
+                }
+                Err(failure)
             }
-            Err(why) => Err(why),
         }
+    }
+
+    /// Changes the tries of a run, and returns them as they were before and as they are now.
+    async fn change_tries(
+        &self,
+        run: &Run,
+        change: impl FnOnce(&mut Tries),
+    ) -> Result<(Tries, Tries), String> {
+        self.store.change_tries(&run.film, &run.key(), change).await.map_err(text)
+    }
+
+    /// Returns whether a frame at which this worker has just failed is given up.
+    async fn is_hopeless(&self, tries: &Tries) -> bool {
+        tries.is_hopeless(false) || tries.is_hopeless(true) && self.is_alone().await
+    }
+
+    /// Listens for beats of other workers of this kind, and returns whether there are none.
+    async fn is_alone(&self) -> bool {
+        let Ok(mut heard) = self.broker.hear(&beats(self.known_kind())).await else { return false };
+        let own = &self.name;
+        let hear_other = async {
+            while let Some(message) = heard.next().await {
+                let beat = serde_json::from_slice::<Beat>(&message.payload);
+                if beat.is_ok_and(|beat| beat.worker != *own) {
+                    return;
+                }
+            }
+        };
+        // Without a connection, no beat says anything.
+        tokio::time::timeout(LISTEN, hear_other).await.is_err() && self.broker.is_connected()
     }
 
     async fn set_aside(&self, run: &Run, why: &str) -> Result<(), String> {
@@ -335,7 +425,7 @@ impl Worker {
         begun: u64,
         order: FilmOrder,
         stop: &Arc<AtomicBool>,
-    ) -> Result<(), String> {
+    ) -> Result<(), Failure> {
         let film = &run.film;
         let look = |frame: Wanted| async move {
             Ok::<_, StoreError>((self.store.has_frame(film, &frame.tag).await?, frame))
@@ -355,7 +445,8 @@ impl Worker {
         if missing.is_empty() {
             return Ok(());
         }
-        self.open_scene(&order).await?;
+        let opened = self.open_scene(&order).await;
+        opened.map_err(|why| Failure { why, is_own: true })?;
         die_at(&missing);
         let began = Instant::now();
         let drawn = missing.len() as u64;
@@ -398,7 +489,8 @@ impl Worker {
         let drawing = drawing.await.map_err(text)?;
         // A frame that could not be stored ends the drawing as well, and is the reason.
         stored?;
-        drawing.map_err(text)?;
+        drawing.map_err(|error| Failure::of_drawing(&error))?;
+        self.streak.lock().end();
         let elapsed_ns = began.elapsed().as_nanos() as u64;
         self.tell(run, &Note::Finished { run: run.id, drawn, elapsed_ns }).await;
         Ok(())

@@ -8,7 +8,7 @@ use serde::de::DeserializeOwned;
 use super::{Run, text};
 use crate::accuracy::journal;
 use crate::cli::serve::parse_file;
-use crate::farm::{bundle, messages};
+use crate::farm::{bundle, messages, tries};
 use crate::film::manifest;
 use crate::jobs::book::{Book, Limits, Record, Slots};
 use crate::load::wire::FrameAnswer;
@@ -55,9 +55,12 @@ fn read_job_record(data: &[u8]) {
 fn read_farm_message(data: &[u8]) {
     stored::<messages::Note>(data);
     stored::<messages::Beat>(data);
+    if let Some(tries) = stored::<tries::Tries>(data) {
+        assert!(tries.deaths() <= tries.begun());
+    }
     if let Some(run) = stored::<messages::Run>(data) {
         assert_eq!(run.split().count(), run.frames.len());
-        run.key();
+        run.message_id();
     }
     let scene = stored::<messages::FilmOrder>(data).map(|order| order.scene);
     let Some(scene) = scene.or_else(|| stored::<messages::Bundle>(data)) else { return };

@@ -386,6 +386,9 @@ impl Collector for JobCollector {
         for (of, count) in [("this", load.workers), ("another", load.other_workers)] {
             gauge(count).encode(workers.encode_family(&[("kind", of)])?)?;
         }
+        let help = "Workers that can draw frames of this server and that pause because they failed at several runs in a row";
+        let paused = gauge(load.paused_workers);
+        paused.encode(encoder.encode_descriptor("workers_paused", help, None, kind)?)?;
         let help = "Runs of frames in the queue: `pending` ones wait for a worker, `drawing` ones have one, `redelivered` ones of those had another before";
         let mut runs = encoder.encode_descriptor("worker_runs", help, None, kind)?;
         let states = [

@@ -15,6 +15,8 @@ pub struct Order<'a> {
     pub spec: Spec,
     pub files: SceneFiles,
     pub frames: Vec<Wanted>,
+    /// Returns whether the stop is a pause, after which the next process continues the job.
+    pub is_pause: &'a dyn Fn() -> bool,
 }
 
 /// Numbers that tell how many workers are needed.
@@ -24,6 +26,8 @@ pub struct Load {
     pub is_connected: bool,
     /// Workers that can draw this server's frames, and others.
     pub workers: u64,
+    /// The part of `workers` that pause because they failed at several frames in a row.
+    pub paused_workers: u64,
     pub other_workers: u64,
     /// Runs that no worker has.
     pub pending: u64,
@@ -37,7 +41,7 @@ pub struct Load {
 /// Draws frames in other processes.
 pub trait Remote: Send + Sync {
     /// Draws the frames of an order, and hands each to `keep` as soon as it is there, in any order. Blocks until all frames are
-    /// there or `stop` becomes true. `tell` is called with what the frames wait for, and with `None` when they go on.
+    /// there or `stop` becomes true. After a pause, frames that were drawn elsewhere and not handed over yet are kept for the next process. `tell` is called with what the frames wait for, and with `None` when they go on.
     ///
     /// # Errors
     /// An error of `keep`; [`FilmError::Elsewhere`] if frames cannot be drawn. The other frames are drawn first.

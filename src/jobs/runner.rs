@@ -170,7 +170,8 @@ fn draw_elsewhere<'a>(
               keep: &mut Keep<'_>| {
             let spec = Spec { frame: FrameSpec::new(request), ..record.spec.clone() };
             let (engine, job) = (&shared.engine, record.id);
-            let order = Order { engine, job, spec, files: files.clone(), frames };
+            let is_pause = &|| live.why() == Some(Stop::Paused);
+            let order = Order { engine, job, spec, files: files.clone(), frames, is_pause };
             remote.draw(order, stop, keep, &tell)
         },
     ))

@@ -3,6 +3,8 @@
 //! Skipped with a message if there is no nats-server; `POINTILLIST_NATS_SERVER=required` makes that a failure. `scripts/setup-nats.sh`
 //! installs one.
 
+mod troubles;
+
 use std::fs::File;
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
@@ -454,7 +456,8 @@ fn a_broker_that_skips_runs_is_mended() {
     let id = create(&client, json!({}));
     ended(&client, &id, "done");
     assert_eq!(manifest(&client, &id), alone(json!({})));
-    // Newer servers find the wrong number by themselves, and no run is lost.
+    // Newer servers find the wrong number by themselves, and no run is lost. `a_consumer_that_skips_runs_is_recreated` checks the mending on
+    // every server.
     let log = daemon.log();
     assert!(log.contains("recreated") || !log.contains("no worker has these runs"), "{log}");
 }

@@ -59,7 +59,11 @@ impl Daemon {
             let wanted = |number| Wanted { number, tag: format!("{number:032x}") };
             Collection {
                 phase: Phase::Queued,
-                desk: Desk::new(&film_name(number), (0..film.frames).map(wanted).collect()),
+                desk: Desk::new(
+                    &film_name(number),
+                    String::new(),
+                    (0..film.frames).map(wanted).collect(),
+                ),
                 inbox: VecDeque::new(),
                 tick: 0,
                 listed_ns: None,
@@ -274,6 +278,7 @@ impl Daemon {
             version: String::new(),
             busy,
             idle_ms: idle_ns / 1_000_000,
+            is_paused: false,
         };
         self.roster.hear(beat, world.now());
     }

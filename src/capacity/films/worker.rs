@@ -166,7 +166,7 @@ impl Worker {
         let tries = world.tries.entry((work.film, work.run.key())).or_insert(0);
         let begun = *tries;
         *tries += 1;
-        match judge(begun, work.run.frames.len()) {
+        match judge(begun, begun, work.run.frames.len()) {
             Verdict::Split => {
                 work.stage = Stage::Split;
                 work.split = work.run.split().collect();

@@ -75,12 +75,20 @@ async fn films_are_stored_listed_and_removed() {
     assert!(!store.has_frame("f", "bb").await.unwrap());
     assert_eq!(store.frame("f", "aa").await.unwrap().unwrap(), b"one"[..]);
     assert_eq!(store.frame("f", "bb").await.unwrap(), None);
-    for before in 0..4 {
-        assert_eq!(store.count_try("f", "0-3").await.unwrap(), before);
+    let begin = async |run: &str, worker: &str| {
+        let (before, now) =
+            store.change_tries("f", run, |tries| tries.begin(worker)).await.unwrap();
+        assert_eq!(now.begun(), before.begun() + 1);
+        before.begun()
+    };
+    for (before, worker) in ["a", "b", "a", "c"].into_iter().enumerate() {
+        assert_eq!(begin("0-3", worker).await, before as u64);
     }
-    assert_eq!(store.count_try("f", "0-0").await.unwrap(), 0);
-    store.take_back_try("f", "0-3", 1).await.unwrap();
-    assert_eq!(store.count_try("f", "0-3").await.unwrap(), 1);
+    assert_eq!(begin("0-0", "a").await, 0);
+    store.change_tries("f", "0-3", |tries| tries.take_back("c")).await.unwrap();
+    assert_eq!(begin("0-3", "d").await, 3);
+    std::fs::write(folder.path().join("deep/store/films/f/tries/0-3"), "half {").unwrap();
+    assert_eq!(begin("0-3", "d").await, 0);
     std::fs::write(folder.path().join("deep/store/films/f/frames/aa"), "on").unwrap();
     assert_eq!(store.frame("f", "aa").await.unwrap(), None);
     assert!(!store.has_frame("f", "aa").await.unwrap());
@@ -94,6 +102,26 @@ async fn films_are_stored_listed_and_removed() {
     assert_eq!(store.order("f").await.unwrap(), None);
     assert!(store.has_frame("other", "bb").await.unwrap());
     store.remove("f").await.unwrap();
+}
+
+#[tokio::test]
+async fn leftovers_are_removed_unless_the_film_has_an_order_again() {
+    let (_folder, store) = store();
+    store.claim().await.unwrap();
+    store.put_frame("f", "aa", b"one").await.unwrap();
+    store.put_frame("f", "bb", b"two").await.unwrap();
+    // The job is resumed after the worker has found no order.
+    let left = store.leftovers("f").await.unwrap();
+    assert_eq!(left.len(), 2);
+    store.put_order("f", b"{}".to_vec()).await.unwrap();
+    store.remove_leftovers("f", left).await.unwrap();
+    assert_eq!(store.list("f").await.unwrap().frames.len(), 2);
+    assert_eq!(store.order("f").await.unwrap().unwrap(), b"{}"[..]);
+    assert_eq!(store.leftovers("f").await.unwrap(), []);
+    store.objects.delete(&order_path("f")).await.unwrap();
+    let left = store.leftovers("f").await.unwrap();
+    store.remove_leftovers("f", left).await.unwrap();
+    assert_eq!(store.list("f").await.unwrap(), Listing::default());
 }
 
 /// Makes a file of the store look older.
