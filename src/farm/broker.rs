@@ -81,7 +81,7 @@ pub enum BrokerError {
     Ca { file: PathBuf, error: String },
     #[error("--nats {url}: {error}; expected nats://HOST:PORT")]
     Address { url: String, error: String },
-    #[error("the NATS server did not do what it was asked ({what}): {error}")]
+    #[error("request to the NATS server failed ({what}): {error}")]
     Request { what: &'static str, error: String },
 }
 
@@ -91,7 +91,7 @@ fn failed<E: std::fmt::Display>(what: &'static str) -> impl FnOnce(E) -> BrokerE
         if error.contains("jetstream")
             && (error.contains("not enabled") || error.contains("unavailable"))
         {
-            error.push_str("; start nats-server with -js");
+            error.push_str("; enable JetStream: start nats-server with -js, or put `jetstream {}` into its configuration file");
         }
         BrokerError::Request { what, error }
     }
@@ -123,7 +123,7 @@ impl Reporter {
                 return;
             }
             Event::Draining | Event::Closed => return,
-            Event::Disconnected => "the connection is broken, and is made again".to_owned(),
+            Event::Disconnected => "connection lost; reconnecting".to_owned(),
             Event::ClientError(ClientError::Other(error)) => self.cause(&error).await,
             event => event.to_string(),
         };
@@ -139,7 +139,7 @@ impl Reporter {
             let tried = tokio::time::timeout(PROBE, TcpStream::connect(place)).await;
             let reached = tried.unwrap_or_else(|_| Err(std::io::ErrorKind::TimedOut.into()));
             if let Err(error) = reached {
-                return format!("{error}; the connection is tried again and again");
+                return format!("cannot connect: {error}; retrying");
             }
         }
         let hint = if self.has_tls {

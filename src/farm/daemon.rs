@@ -250,7 +250,7 @@ impl Remote for Farm {
             };
             match tokio::time::timeout(CLEAR, cleared).await {
                 Ok(Ok(())) => {}
-                Ok(Err(error)) => tracing::warn!(film, %error, "cannot clear up after a film"),
+                Ok(Err(error)) => tracing::warn!(film, %error, "cannot remove an ended film's runs from the queue or its files from the store"),
                 Err(_) => tracing::warn!(film, "clearing up after a film takes too long"),
             }
             collected.unwrap_or(Ok(()))

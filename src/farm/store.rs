@@ -71,7 +71,7 @@ pub enum StoreError {
     #[error("--store {store}: expected s3://BUCKET/PREFIX or a folder: {error}")]
     Folder { store: Arc<str>, error: std::io::Error },
     #[error(
-        "--store {0}: its file `{MARK}` is missing or another one than before; bring the store back, as by mounting its file system"
+        "--store {0}: its file `{MARK}` is missing or has other content than before; mount the store's file system, or correct --store"
     )]
     Gone(Arc<str>),
 }

@@ -260,7 +260,7 @@ impl Worker {
         let run = serde_json::from_slice::<Run>(&message.payload);
         let Some(run) = run.ok().filter(Run::is_sound) else {
             tracing::error!(
-                "a message is no run; another version of the program may have queued it"
+                "discarded a malformed run from the queue; another version of the program may have queued it"
             );
             self.answer(message, AckKind::Term).await;
             return;
@@ -298,7 +298,7 @@ impl Worker {
         }
         .await;
         if let Err(error) = removed {
-            tracing::warn!(film, %error, "cannot clear up after a film");
+            tracing::warn!(film, %error, "cannot remove the files of an ended film from the store");
         }
     }
 
