@@ -16,6 +16,8 @@ pub struct Tagged<'a> {
     pub auto: Option<&'a Choice>,
     pub goal: Option<Goal>,
     pub drawing: &'a Drawing,
+    /// How the frame is drawn where it turns out that this way cannot draw it.
+    pub instead: Option<&'a Drawing>,
     pub is_provisional: bool,
 }
 
@@ -24,7 +26,7 @@ pub struct Tagged<'a> {
 pub fn entity_tag(
     loaded: &Loaded,
     request: &FrameRequest,
-    Tagged { auto, goal, drawing, is_provisional }: &Tagged<'_>,
+    Tagged { auto, goal, drawing, instead, is_provisional }: &Tagged<'_>,
     views: &[View],
     adapter: &Adapter,
 ) -> String {
@@ -40,6 +42,11 @@ pub fn entity_tag(
     ]);
     // The rest of what the scene says of splats is in its digest.
     hasher.update(drawing.applied.bytes());
+    if let Some(instead) = instead {
+        // Settings without effect on one of the ways may have an effect on the other.
+        hasher.update(b"instead");
+        hasher.update(instead.applied.bytes());
+    }
     if *is_provisional {
         hasher.update(b"provisional");
     }

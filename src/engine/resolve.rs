@@ -443,6 +443,7 @@ fn decide(
         auto: auto.as_ref(),
         goal: planned.as_ref().map(|planned| planned.receipt.goal()),
         drawing: &drawing,
+        instead: in_three_passes.as_ref(),
         is_provisional: provisional.is_some(),
     };
     let views: Vec<View> = [view].into_iter().chain(exposed.views.iter().copied()).collect();

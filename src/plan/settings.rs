@@ -98,6 +98,12 @@ const SHADOWS: Rule = Rule::new("shadows", &["on"], "shadows are off");
 const CASTING: Rule = Rule::new("casting_lights", &["some"], "");
 const LIT: Rule = Rule::new("lights", &["some"], "");
 const OCCLUDED: Rule = Rule::new("scene_occlusion", &["some"], "");
+/// Ambient occlusion finds depths, and ambient light that is not mixed with the rest.
+const OCCLUDABLE: Rule = Rule::new("occludable", &["some"], "");
+/// Samples leave depths, or may do so.
+const DEPTHS: Rule = Rule::new("reconstruct", &["points", "splats", "pull_push", "auto"], "");
+const WEIGHTED: Rule = Rule::new("blend", &["weighted"], "");
+const LIT_SINGLY: Rule = Rule::new("shading", &["splat"], "");
 const SURROUNDED: Rule = Rule::new("scene_environment", &["some"], "");
 const FOGGY: Rule = Rule::new("scene_fog", &["some"], "");
 /// An aperture or an open shutter.
@@ -299,7 +305,7 @@ settings! {
     /// Whether lighting is computed for each pixel or for each splat; the scene's value by default.
     shading: Shading => Option<Shading> {
         label: "Light", kind: SettingKind::scenes::<Shading>(), needs: [PASSES],
-        useful_with: [SAMPLES, THREE_PASSES, COLORS, Rule::new("blend", &["weighted"], ""), LIT], trades: Trade::variant()
+        useful_with: [SAMPLES, THREE_PASSES, COLORS, WEIGHTED, LIT], trades: Trade::variant()
     }
     /// Whether suns and point lights cast the shadows that the scene asks for.
     shadows: Shadows => Shadows {
@@ -312,7 +318,7 @@ settings! {
     }
     /// Whether the scene's ambient occlusion is drawn.
     ao: Effect => Effect {
-        label: "Ambient occlusion", kind: SettingKind::own::<Effect>(), needs: [], useful_with: [COLORS, OCCLUDED], trades: Trade::variant()
+        label: "Ambient occlusion", kind: SettingKind::own::<Effect>(), needs: [], useful_with: [COLORS, OCCLUDED, OCCLUDABLE], trades: Trade::variant()
     }
     /// Whether the scene's environment is drawn. Where it is off, ambient light as bright as its mean takes its place.
     environment: Effect => Effect {
@@ -598,6 +604,10 @@ impl Settings {
         known.insert("scene_fog".to_owned(), some(scene.fog.into()).into());
         known.insert("blur".to_owned(), some(self.is_blurred().into()).into());
         known.insert("output".to_owned(), serde_json::json!(output));
+        let are_lit_singly =
+            [THREE_PASSES, WEIGHTED, LIT_SINGLY, LIT].iter().all(|rule| rule.holds(&known));
+        let is_occludable = !SAMPLES.holds(&known) || DEPTHS.holds(&known) && !are_lit_singly;
+        known.insert("occludable".to_owned(), some(is_occludable.into()).into());
         let is_open = |rule: &Rule| known.get(rule.of).is_none_or(Value::is_null);
         kept(&known, &self.open(), |setting| {
             // Rules of single values say what can be drawn at all.

@@ -7,8 +7,9 @@ use pointillist::encode::ImageFormat;
 use pointillist::engine::{FrameRequest, NodePatch, Pose};
 use pointillist::math::{Camera, Lens};
 use pointillist::plan::{Given, Output};
+use serde_json::json;
 
-use super::studio::{OUTPUTS, Studio, cloud_scene, front, same, sphere};
+use super::studio::{OUTPUTS, Studio, cloud_scene, disk_sphere, disks, front, same, sphere};
 
 fn camera() -> Camera {
     Camera {
@@ -17,6 +18,31 @@ fn camera() -> Camera {
         up: DVec3::Y,
         lens: Lens::Perspective { fov_deg: 45.0 },
     }
+}
+
+/// A single pass that overflows is replaced by three, which may have ambient occlusion where the single pass has none.
+#[test]
+fn ambient_occlusion_is_in_the_tag_of_frames_that_may_have_it() {
+    let studio = Studio::new();
+    studio.write("ball.ply", disks(&disk_sphere(300, 1.0, |_| [200, 90, 60])));
+    for (id, lights) in [("lit", json!([{ "kind": "headlight" }])), ("unlit", json!([]))] {
+        let mut scene = cloud_scene("ball.ply");
+        scene["lights"] = lights;
+        scene["ambient_occlusion"] = json!({ "radius": 0.4 });
+        studio.load_json(id, &scene);
+    }
+    let tag = |scene: &str, reconstruct: &str, ao: &str| {
+        let mut given = Given::default();
+        given.set_text("reconstruct", reconstruct).unwrap();
+        given.set_text("ao", ao).unwrap();
+        let settings = given.resolve().unwrap();
+        let request = FrameRequest { settings, ..front(scene, 48, 32) };
+        super::studio::etag(&studio.engine, &request).unwrap()
+    };
+    let differ = |scene, how| tag(scene, how, "on") != tag(scene, how, "off");
+    assert!(!differ("lit", "fuzzy") && !differ("lit", "painted"));
+    assert!(differ("unlit", "fuzzy") && differ("unlit", "painted"));
+    assert!(differ("lit", "points") && differ("unlit", "points"));
 }
 
 #[test]

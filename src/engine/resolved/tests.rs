@@ -3,7 +3,7 @@ use glam::{DAffine3, DVec3};
 use super::*;
 use crate::bake::pack::Counts;
 use crate::plan::{self, AdapterFacts, Given, Output, SceneFacts, SettingKind};
-use crate::scene::Splats;
+use crate::scene::{Blend, Shading, Splats};
 
 fn drawing(settings: &Settings) -> Drawing {
     drawing_of(Counts { samples: 1, segments: 1, chunks: 1, ..Counts::default() }, settings)
@@ -72,6 +72,34 @@ fn settings_without_effect_leave_drawings_equal() {
     assert_eq!(drawing(&fine), drawing(&points), "full detail accepts no error");
     let trees = |settings: Settings| drawing(&Settings { lod: plan::Lod::Spt, ..settings });
     assert_ne!(trees(fine), trees(points));
+}
+
+/// One picture has one tag.
+#[test]
+fn ambient_occlusion_is_a_setting_of_frames_that_can_have_it() {
+    let samples = Counts { samples: 1, chunks: 1, ..Counts::default() };
+    let meshes = Counts { triangles: 1, chunks: 1, ..Counts::default() };
+    let splats = |blend, shading| Settings {
+        blend: Some(blend),
+        shading: Some(shading),
+        ..Settings::drawn_as(plan::Reconstruct::Splats)
+    };
+    for (settings, has) in [
+        (Settings::drawn_as(plan::Reconstruct::Points), true),
+        (Settings::drawn_as(plan::Reconstruct::PullPush), true),
+        (Settings::drawn_as(plan::Reconstruct::Fuzzy), false),
+        (Settings::drawn_as(plan::Reconstruct::Painted), false),
+        (splats(Blend::Weighted, Shading::Deferred), true),
+        (splats(Blend::Weighted, Shading::Splat), false),
+        (splats(Blend::Opaque, Shading::Splat), true),
+    ] {
+        for (counts, has) in [(samples, has), (meshes, true)] {
+            let with = drawing_of(counts, &settings);
+            let without = drawing_of(counts, &Settings { ao: plan::Effect::Off, ..settings });
+            assert_eq!(with.plan.runs(Pass::AmbientOcclusion), has, "{settings:?}");
+            assert_eq!((with != without, without.applied.ao.is_some()), (has, has), "{settings:?}");
+        }
+    }
 }
 
 /// Films draw all frames as the first one was decided.

@@ -22,7 +22,7 @@ pub struct Setting {
     pub needs: Vec<Rule>,
     /// Where one of these does not hold, the setting has no effect worth a control, or the rule's value cannot be drawn. `output`, `samples`,
     /// `segments`, `lights`, `casting_lights`, `scene_environment`, `scene_fog`, `scene_occlusion` and `fields` are facts of the frame and its scene; `fields` are the names of its scalar fields.
-    /// `blur` is `some` with an aperture or an open shutter.
+    /// `blur` is `some` with an aperture or an open shutter. `occludable` is `none` where samples are drawn without depths, or are lit one by one.
     pub useful_with: Vec<Rule>,
     /// Whether the setting trades accuracy for time, so that comparisons vary it.
     #[serde(serialize_with = "is_there")]

@@ -95,6 +95,7 @@ fn declarations_are_complete() {
                     "scene_environment",
                     "scene_fog",
                     "scene_occlusion",
+                    "occludable",
                     "blur",
                     "fields",
                 ]
