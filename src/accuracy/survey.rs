@@ -32,9 +32,10 @@ use super::reference::Reference;
 use super::sweep::{Row, order, owners, slug};
 use super::truth::{Finer, PARTS, Truth, Wide, floats, is_covered, quads};
 use crate::encode::{EncodeError, FrameImage, ImageFormat, encode};
+use crate::engine::receipt::PassReceipt;
 use crate::engine::{Client, EncodedFrame, Engine, EngineError, FrameRequest, Pose, SceneInfo};
 use crate::math::{Camera, CameraError, Lens};
-use crate::plan::{Given, Output, Settings};
+use crate::plan::{Given, Output, Pass, Settings};
 
 /// Folder of the frames in a report, and of the references within it.
 pub const FRAMES: &str = "frames";
@@ -479,7 +480,7 @@ impl Survey<'_> {
             if warm.insert((draw.pose, draw.row)) {
                 self.draw(self.row_request(pose.camera, row))?;
             }
-            let receipt = self.draw(self.row_request(pose.camera, row))?.receipt.clone();
+            let receipt = self.draw_timed(pose.camera, row)?.receipt.clone();
             let ns = receipt.gpu_share_ns();
             let gpu_ms = ns.ok_or(SurveyError::NoTimestamps(receipt.adapter))? as f64 / 1e6;
             let (pose, row) = (pose.name.clone(), row.label.clone());
@@ -505,6 +506,24 @@ impl Survey<'_> {
             rows.iter().zip(&drawn).map(|(row, drawn)| (row, drawn.as_ref().ok())).collect();
         let owners = owners(&pairs);
         (drawn, owners)
+    }
+
+    /// Draws a frame to be timed. The planner predicts times of frames at new poses, which draw their shadow maps. The report has times of frames that
+    /// use the maps of an earlier frame.
+    fn draw_timed(&self, camera: Camera, row: &Row) -> Result<Arc<EncodedFrame>, SurveyError> {
+        let request = self.row_request(camera, row);
+        match self.purpose {
+            Purpose::Planner => {
+                let settings = Settings { draws_maps: true, ..request.settings };
+                self.draw(FrameRequest { settings, ..request })
+            }
+            Purpose::Report => {
+                let frame = self.draw(request.clone())?;
+                let is_map = |pass: &PassReceipt| pass.ran && pass.name == Pass::ShadowMap.name();
+                // The earlier frame's maps had been dropped.
+                if frame.receipt.passes.iter().any(is_map) { self.draw(request) } else { Ok(frame) }
+            }
+        }
     }
 
     fn row_request(&self, camera: Camera, row: &Row) -> FrameRequest {

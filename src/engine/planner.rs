@@ -184,9 +184,15 @@ impl Planners {
         was_known || had_note
     }
 
-    /// Takes a drawn frame into account that took `actual_ms`, and completes its receipt.
-    pub fn see(&self, planned: &PlannedFrame, actual_ms: Option<f64>) -> PlanReceipt {
-        if let (Some((known, row, measured_ms)), Some(actual_ms)) = (&planned.from, actual_ms) {
+    /// Completes the receipt of a drawn frame that took `actual_ms`. Takes the frame into account if it did the work of a measured frame.
+    pub fn see(
+        &self,
+        planned: &PlannedFrame,
+        actual_ms: Option<f64>,
+        is_as_measured: bool,
+    ) -> PlanReceipt {
+        let from = planned.from.as_ref().filter(|_| is_as_measured);
+        if let (Some((known, row, measured_ms)), Some(actual_ms)) = (from, actual_ms) {
             let mut pace = known.pace.lock();
             pace.paces.see(*row, *measured_ms, actual_ms);
             pace.unwritten += 1;
@@ -303,8 +309,12 @@ mod tests {
             let receipt = goal.unplanned(String::new());
             let planned = PlannedFrame { receipt, from: Some((known.clone(), 0, 1.0)) };
             for _ in 0..WRITE_EVERY {
-                planners.see(&planned, Some(2.0));
+                planners.see(&planned, Some(2.0), true);
             }
+            let receipt = planners.see(&planned, Some(9.0), false);
+            assert_eq!(receipt.actual_ms, Some(9.0));
+            let pace = known.pace.lock();
+            assert_eq!(pace.unwritten, 0, "frames with less work tell nothing");
         };
         let old = planners.replace(known(1));
         draw_many(&old);

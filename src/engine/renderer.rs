@@ -316,6 +316,10 @@ impl Renderer {
         // Groups are never empty.
         let job = &jobs[0];
         let task = self.task(jobs);
+        if job.frame.request.settings.draws_maps {
+            self.shadow_maps.remove(&task.model.id);
+            self.binds.borrow_mut().clear();
+        }
         let shadows = self.shadows(&task, job.drawing());
         let task = FrameTask { shadows, ..task };
         let exposures = &job.frame.exposures;

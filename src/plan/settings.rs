@@ -152,6 +152,9 @@ macro_rules! settings {
             /// How `auto` draws before normals and kernels are there.
             #[serde(skip)]
             pub wait: Wait,
+            /// The frame draws its shadow maps itself, so that its time does not depend on earlier frames.
+            #[serde(skip)]
+            pub draws_maps: bool,
             /// Settings that the request gives, where a goal has the others chosen.
             #[serde(skip)]
             pub pinned: Pinned,

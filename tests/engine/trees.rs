@@ -316,6 +316,26 @@ fn a_frame_of_a_split_error_leaves_no_shadows_to_one_of_a_unified_error() {
     assert!(used.bytes(&with(without)) != fresh, "there are shadows");
 }
 
+/// Times of such frames do not depend on earlier ones.
+#[test]
+fn a_frame_draws_its_shadow_maps_itself_where_it_is_told_to() {
+    let studio = Studio::new();
+    studio.write("ball.ply", sphere(20));
+    let mut scene = one("ball.ply");
+    scene["lights"] = json!([{ "kind": "sun", "direction": [-1, -0.6, -0.3], "shadows": true }]);
+    studio.load_json("ball", &scene);
+    let plain = fit("ball", 64, Output::Color);
+    let own = Settings { draws_maps: true, ..plain.settings };
+    let own = FrameRequest { settings: own, ..plain.clone() };
+    let draws_maps = |request: &FrameRequest| {
+        let frame = studio.frame(request);
+        same(&frame.bytes, &studio.bytes(&plain), "with maps of its own");
+        frame.receipt.passes.iter().any(|pass| pass.name == "shadow_map" && pass.ran)
+    };
+    assert!(draws_maps(&plain) && !draws_maps(&plain));
+    assert!(draws_maps(&own) && draws_maps(&own) && !draws_maps(&plain));
+}
+
 /// Number of nodes of a cloud's tree that `bake::tree` would draw as splats, with all of it in view.
 fn drawn_by_twin(path: &Path, request: &FrameRequest, camera: &Camera) -> u64 {
     let mut asset = read(path, &ReadOptions::default()).unwrap();
