@@ -121,7 +121,7 @@ mod tests {
         let error = serde_json::from_str::<Everything>("{\"number\": []}").err().unwrap();
         assert_eq!(
             plain(&error.to_string()),
-            "found an array at line 1 column 12; expected a number"
+            "found an array at line 1 column 11; expected a number"
         );
         assert_eq!(plain("trailing characters at line 2"), "trailing characters at line 2");
         assert_eq!(plain("invalid"), "invalid");

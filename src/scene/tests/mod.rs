@@ -177,7 +177,7 @@ fn refusals_name_the_place() {
     nodes(r#"[{"asset": "b"}]"#, "nodes[0].asset", "there is no asset `b`; did you mean `a`?");
     nodes(r#"[{"prototype": "b"}]"#, "nodes[0].prototype", "the scene names no prototype");
     nodes(r#"[{"asset": "a", "prototype": "b"}]"#, "nodes[0]", "only one");
-    nodes(r#"[{"asset": "a", "translate": [0, 1]}]"#, "nodes[0].translate", "length 2");
+    nodes(r#"[{"asset": "a", "translate": [0, 1]}]"#, "nodes[0].translate", "found 2 elements");
     nodes(r#"[{"translate": [0, 1, 1e13]}]"#, "nodes[0].translate[2]", "lies outside");
     nodes(r#"[{"translate": [0, 1, 1e999]}]"#, "nodes[0].translate[2]", "out of range");
     nodes(r#"[{"translate": [0, 1, "2"]}]"#, "nodes[0].translate[2]", "expected a number");
