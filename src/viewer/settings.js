@@ -60,9 +60,6 @@ function facts() {
   // With a level of detail, meshes have samples.
   found.samples = scene && (scene.samples || found.lod === 'spt') ? 'some' : 'none';
   found.blur = Number(found.aperture) > 0 || Number(found.shutter) > 0 ? 'some' : 'none';
-  const areLitSingly = found.reconstruct === 'splats' && found.blend === 'weighted' && found.shading === 'splat' && found.lights === 'some';
-  const areDepthless = ['fuzzy', 'painted'].includes(found.reconstruct);
-  found.occludable = found.samples === 'some' && (areDepthless || areLitSingly) ? 'none' : 'some';
   found.segments = scene?.segments ? 'some' : 'none';
   return found;
 }
