@@ -43,7 +43,7 @@ pub struct Planners {
 pub struct Known {
     key: Key,
     measured: Measured,
-    /// What the measured poses showed of the scene.
+    /// Grounds of the measured poses in the scene as it was then.
     grounds: Vec<Ground>,
     planner: Planner,
     pace: Mutex<Pace>,

@@ -80,7 +80,7 @@ mod tests {
             assert_eq!((tries.is_hopeless(false), tries.is_hopeless(true)), (false, number >= 3));
         }
         tries.begin("other");
-        // So far, the other worker only draws the frame.
+        // The other worker draws the frame and has not failed yet.
         assert_eq!((tries.deaths(), tries.is_hopeless(false)), (1, false));
         tries.fail("other");
         assert_eq!((tries.deaths(), tries.is_hopeless(false)), (0, true));

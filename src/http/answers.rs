@@ -100,7 +100,7 @@ impl Patience {
 /// The body of an answer, in parts.
 struct Parts {
     body: Body,
-    /// What the body has given, and the connection has not.
+    /// Bytes that the body has given and that the connection has not taken yet.
     rest: Bytes,
     answer: Arc<Answer>,
 }

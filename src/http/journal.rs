@@ -346,7 +346,7 @@ pub struct Notice {
     event: &'static str,
     /// What was read again.
     subject: &'static str,
-    /// What differs from the last reading.
+    /// Keys or limits that differ from the last reading.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     changes: Vec<String>,
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -12,7 +12,7 @@ fn rewritten(message: &str) -> Option<String> {
     };
     let (kind, rest) =
         message.split_once(' ').filter(|(word, _)| *word == "invalid")?.1.split_once(' ')?;
-    // What was found may be any text; what was expected comes last.
+    // The value found may be any text; the expected type comes last.
     let (found, expected) = rest.rsplit_once(", expected ")?;
     let expected = expected_words(expected);
     match kind {

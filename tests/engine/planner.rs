@@ -158,7 +158,7 @@ fn measurements_outlive_the_engine_and_belong_to_the_content() {
     assert_eq!((plan.keeps, plan.chosen.unwrap().setting.as_str()), (None, "splats"));
     assert!(plan.because.contains("before its nodes were changed"), "{}", plan.because);
     assert_eq!(plan_of(&second, "cloud").keeps, Some(true));
-    // What is measured of it is no measurement of the scene as it was loaded.
+    // Measurements of the patched scene are none of the scene as it was loaded.
     let mut own = measured();
     own.rows.truncate(3);
     second.engine.learn("other", own).unwrap();
