@@ -2,9 +2,14 @@
 //! how fast a camera path is filmed,
 //! what many requests at a time gain, and frames a second beside a remote view of trame.
 //!
+//! `BENCH_STREAM=moving` compares moving frames that the planner chooses with those that are paced by time alone. It measures its scenes first, which takes
+//! some ten minutes, and is not among the parts that run unasked.
+//!
 //! Client and daemon share the machine. The client of a stream does no more than read: it neither decodes nor draws.
 
 mod common;
+#[path = "stream/moving.rs"]
+mod moving;
 #[path = "stream/sharing.rs"]
 mod sharing;
 
@@ -57,9 +62,10 @@ fn main() -> anyhow::Result<()> {
             "beside" => sharing::beside(&mut report, &daemon)?,
             "saturation" => saturation(&mut report, &daemon)?,
             "film" => film(&mut report, &daemon, &adapter)?,
+            "moving" => moving::compare(&mut report)?,
             "remote" => remote(&mut report, &daemon)?,
             other => bail!(
-                "BENCH_STREAM knows latency, clients, beside, saturation, film and remote, not {other}"
+                "BENCH_STREAM knows latency, clients, beside, saturation, film, remote and moving, not {other}"
             ),
         }
     }

@@ -68,6 +68,14 @@ impl Stream {
     /// # Errors
     /// A problem that the daemon tells of; the stream is gone.
     pub fn frame_of(&mut self, seq: u64) -> anyhow::Result<Value> {
+        Ok(self.frame_where(|shown| shown == seq)?.0)
+    }
+
+    /// Does the work of [`Self::frame_of`], and returns the image as well.
+    ///
+    /// # Errors
+    /// As [`Self::frame_of`].
+    pub fn image_of(&mut self, seq: u64) -> anyhow::Result<(Value, Vec<u8>)> {
         self.frame_where(|shown| shown == seq)
     }
 
@@ -76,18 +84,18 @@ impl Stream {
     /// # Errors
     /// As [`Self::frame_of`].
     pub fn frame_from(&mut self, seq: u64) -> anyhow::Result<Value> {
-        self.frame_where(|shown| shown >= seq)
+        Ok(self.frame_where(|shown| shown >= seq)?.0)
     }
 
-    fn frame_where(&mut self, is_it: impl Fn(u64) -> bool) -> anyhow::Result<Value> {
+    fn frame_where(&mut self, is_it: impl Fn(u64) -> bool) -> anyhow::Result<(Value, Vec<u8>)> {
         loop {
             match self.socket.read()? {
                 Message::Binary(bytes) => {
-                    let (header, _) =
+                    let (header, image) =
                         header_and_image(&bytes).context("a frame that is cut off")?;
                     let header: Value = serde_json::from_slice(header)?;
                     if header["seq"].as_u64().is_some_and(&is_it) {
-                        return Ok(header);
+                        return Ok((header, image.to_vec()));
                     }
                     self.acknowledge(&header)?;
                 }

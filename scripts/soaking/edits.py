@@ -121,10 +121,18 @@ class Uploader(Actor):
             "id=../x&name=a.ply": b"ply\n",
         }
         name = self.chance.choice(sorted(bodies))
-        reply = self.caller.ask("POST", f"/v1/scenes?{name}", bodies[name], {"Prefer": "wait=60"})
-        if reply.status in (201, 202):
+        # A server that is killed while it loads an upload lists it as failed until it is deleted.
+        scene = name.partition("name=")[2].rpartition(".")[0].strip(".")
+        try:
+            reply = self.caller.ask("POST", f"/v1/scenes?{name}", bodies[name], {"Prefer": "wait=60"})
+        except Gone:
+            self.remove(scene)
+            raise
+        if reply.status == 409:
+            self.remove(scene)
+        elif reply.status in (201, 202):
             self.world.fault("wrong refusal", f"{name} was taken: {reply.brief()}")
-        elif reply.status not in (400, 409, 413, 415, 422, 507) and not self.world.refused(reply):
+        elif reply.status not in (400, 413, 415, 422, 507) and not self.world.refused(reply):
             self.world.fault("wrong refusal", f"{name}: {reply.brief()}")
 
     def bomb(self):

@@ -1,5 +1,7 @@
 //! Measures what the planner predicts from: the frames of many settings at poses in all directions and distances, in three sizes.
 //!
+//! Frames of moving poses are drawn smaller than they are shown, so that settings are measured in smaller sizes as well, enlarged.
+//!
 //! A first look at a few poses leaves out settings that others beat in both time and error. The rest is drawn at all poses; the sizes take
 //! turns from pose to pose. The engine keeps the measurements beside the point trees; journals serve to go on with a measurement that was interrupted.
 
@@ -12,7 +14,7 @@ use super::journal::Journal;
 use super::poses::{of_cameras, spread};
 use super::results::{ALL_POSES, Entry, Results, Scope};
 use super::survey::{Event, NamedPose, Purpose, Survey, SurveyError};
-use super::sweep::{Row, rows};
+use super::sweep::{Row, planned_rows, rows};
 use crate::engine::{Client, Engine, FrameRequest, Pose, SceneInfo};
 use crate::math::Camera;
 use crate::plan::planner::{Measured, MeasuredPose, MeasuredRow, Point};
@@ -92,7 +94,7 @@ impl Planning<'_> {
     ) -> Result<Measured, SurveyError> {
         let mut poses = self.poses(info)?;
         let stages = 1 + SIZES.len() as u64;
-        let mut first = self.survey(self.least_size, poses.clone(), rows(Extent::Planned));
+        let mut first = self.survey(self.least_size, poses.clone(), planned_rows());
         let blank = first.leave_out_blank()?;
         if first.poses.is_empty() {
             return Err(SurveyError::Blank(blank.join(", ")));
@@ -157,17 +159,19 @@ fn point(entry: &Entry) -> Option<Point> {
     Some(Point { mse: entry.metrics.mse, ms: entry.gpu_ms?.median })
 }
 
-/// The rows that are not beaten at every pose, and the plain ones of each way to draw samples, since requests may ask for that way.
+/// The rows that are not beaten at every pose, and the plain ones of each way to draw samples, since requests may ask for that way. Rows of full size
+/// are compared with each other, because frames of poses that rest have no other.
 fn unbeaten(looked: &Results, rows: &[Row]) -> Vec<Row> {
     let is_plain = |row: &Row| {
         let settings = Settings::from(row.given);
-        settings.parts() == 1 && settings.accepted_px_of_trees().is_none_or(|px| px == 1.0)
+        let is_plain = settings.accepted_px_of_trees().is_none_or(|px| px == 1.0);
+        row.is_whole() && settings.parts() == 1 && is_plain
     };
     let is_beaten = |scope: &Scope, row: &Row| {
-        let own = scope.entry(&row.label).and_then(point);
-        let others = scope.entries.iter().filter_map(point);
-        own.is_none_or(|own| {
-            let mut others = others;
+        let point_of = |row: &Row| scope.entry(&row.label).and_then(point);
+        point_of(row).is_none_or(|own| {
+            let others = rows.iter().filter(|other| other.is_whole() || !row.is_whole());
+            let mut others = others.filter_map(point_of);
             others.any(|other| other.mse <= own.mse && other.ms <= BEATEN * own.ms)
         })
     };
@@ -176,7 +180,8 @@ fn unbeaten(looked: &Results, rows: &[Row]) -> Vec<Row> {
 }
 
 fn row_without_points(row: &Row) -> MeasuredRow {
-    MeasuredRow { label: row.label.clone(), given: row.given, points: Vec::new() }
+    let (label, given, scale) = (row.label.clone(), row.given, row.scale);
+    MeasuredRow { label, given, scale, points: Vec::new() }
 }
 
 /// Adds the frames of a survey.

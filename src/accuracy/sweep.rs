@@ -19,6 +19,8 @@ pub struct Row {
 
 /// Scales of frames that are drawn smaller than they are shown, as moving frames of streams are, and their names.
 pub const SCALES: [(f64, &str); 2] = [(0.75, "3/4"), (0.5, "1/2")];
+/// The scales that a planner chooses from.
+const PLANNED_SCALES: [(f64, &str); 3] = [SCALES[0], SCALES[1], (0.25, "1/4")];
 
 impl Row {
     /// Whether the row is what the program draws when nothing is chosen.
@@ -69,19 +71,29 @@ pub fn rows(extent: Extent) -> Vec<Row> {
 /// All rows of a survey: the combinations of settings, and the main ones with default numbers at each of [`SCALES`].
 pub fn sized_rows(extent: Extent) -> Vec<Row> {
     let mut found = rows(extent);
-    for row in rows(Extent::Few) {
-        let settings = Settings::from(row.given);
-        if settings.leaves_drawing_open() || settings.parts() > 1 {
-            continue;
-        }
-        let at = |(scale, name): (f64, &str)| Row {
-            label: format!("{} size={name}", row.label),
-            scale,
-            ..row.clone()
-        };
-        found.extend(SCALES.map(at));
-    }
+    found.extend(smaller(&rows(Extent::Few), &SCALES));
     found
+}
+
+/// All rows of a planner: the combinations of settings, and those without antialiasing in smaller sizes.
+pub fn planned_rows() -> Vec<Row> {
+    let mut found = rows(Extent::Planned);
+    found.extend(smaller(&found, &PLANNED_SCALES));
+    found
+}
+
+/// Rows at each of these scales, but those that are `auto` or antialiased.
+fn smaller(rows: &[Row], scales: &[(f64, &str)]) -> Vec<Row> {
+    let is_plain = |row: &&Row| {
+        let settings = Settings::from(row.given);
+        !settings.leaves_drawing_open() && settings.parts() == 1
+    };
+    let at = |row: &Row, (scale, name): (f64, &str)| {
+        let label = format!("{} size={name}", row.label);
+        Row { label, scale, ..row.clone() }
+    };
+    let each = |row| scales.iter().map(move |&scale| at(row, scale));
+    rows.iter().filter(is_plain).flat_map(each).collect()
 }
 
 /// Rows of a survey that are compared along a camera path: the main settings, and the variants and sizes that matter most.

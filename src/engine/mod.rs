@@ -83,6 +83,7 @@ pub use info::{
 };
 pub use latest_slot::LatestSlot;
 pub use observe::Observer;
+pub use planner::PlannedFrame;
 pub use point_tree_cache::BakeSource;
 pub use priming::PrimeConfig;
 pub use queue::{Class, Client};
@@ -99,7 +100,7 @@ pub use trace::{Origin, RequestId};
 use crate::bake::uncovered::uncovered_share;
 use crate::memory::{self, Admission};
 use crate::plan::Settings;
-use crate::plan::planner::Measured;
+use crate::plan::planner::{Measured, Moving};
 use crate::residency::{Part, model::AssetModel};
 use crate::scene::CameraPath;
 
@@ -351,7 +352,33 @@ impl Engine {
     /// # Errors
     /// Any error of the request.
     pub fn resolve(&self, request: FrameRequest) -> Result<Resolution, EngineError> {
-        resolve::resolve(&self.inner.state, request)
+        self.resolve_planned(request, None)
+    }
+
+    /// Does the work of [`Engine::resolve`] for a request of [`Engine::plan_moving`].
+    ///
+    /// # Errors
+    /// Any error of the request.
+    pub fn resolve_planned(
+        &self,
+        request: FrameRequest,
+        planned: Option<PlannedFrame>,
+    ) -> Result<Resolution, EngineError> {
+        resolve::resolve(&self.inner.state, request, planned)
+    }
+
+    /// Chooses settings and size for a frame of a moving pose from the measurements of its scene. The request has the size of the still frame and a goal. With
+    /// `at_once`, only from what needs no bake. `None` where nothing is known.
+    ///
+    /// # Errors
+    /// Any error of the request.
+    pub fn plan_moving(
+        &self,
+        request: &FrameRequest,
+        moving: &Moving<'_>,
+        at_once: bool,
+    ) -> Result<Option<(FrameRequest, PlannedFrame)>, EngineError> {
+        resolve::moving(self.state(), request, moving, at_once)
     }
 
     /// Resolves a request after the bake that it needs, if any. Blocks; async code has [`Engine::resolve`].

@@ -19,13 +19,15 @@ use super::state::EngineState;
 use crate::bake::cache::BakeCache;
 use crate::bake::pack::GeometryKind;
 use crate::math::View;
-use crate::plan::Output;
-use crate::plan::planner::{Ground, Measured, Paces, PlanReceipt, Planner};
+use crate::plan::planner::{Asked, Chosen, Ground, Measured, Moving, Paces, PlanReceipt, Planner};
+use crate::plan::{Output, Settings};
 
 /// Version of a note.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 /// Most scenes whose measurements are kept in memory.
 const MOST_SCENES: usize = 64;
+/// Most kinds of requests that are remembered for a scene.
+const MOST_ASKED: usize = 64;
 /// Number of frames after which the note is written with the new pace.
 const WRITE_EVERY: u32 = 64;
 
@@ -47,6 +49,8 @@ pub struct Known {
     grounds: Vec<Ground>,
     planner: Planner,
     pace: Mutex<Pace>,
+    /// What requests may be drawn with. To find it takes milliseconds, and a stream asks for each frame.
+    asked: Mutex<HashMap<Settings, Arc<Asked>>>,
 }
 
 #[derive(Default)]
@@ -93,7 +97,22 @@ impl Known {
         let is_whole = grounds.len() == measured.poses.len();
         let (measured, grounds) = if is_whole { (measured, grounds) } else { Default::default() };
         let planner = Planner::fit(&measured, &grounds);
-        Known { key, measured, grounds, planner, pace: Mutex::new(Pace { paces, unwritten: 0 }) }
+        let (pace, asked) = (Mutex::new(Pace { paces, unwritten: 0 }), Mutex::default());
+        Known { key, measured, grounds, planner, pace, asked }
+    }
+
+    fn asked(&self, settings: &Settings) -> Arc<Asked> {
+        let kind = settings.with_some_goal();
+        if let Some(known) = self.asked.lock().get(&kind) {
+            return known.clone();
+        }
+        let found = Arc::new(self.planner.asked(&kind));
+        let mut asked = self.asked.lock();
+        if asked.len() >= MOST_ASKED {
+            asked.clear();
+        }
+        asked.insert(kind, found.clone());
+        found
     }
 
     fn write(&self, cache: Option<&BakeCache>, paces: Paces) {
@@ -266,13 +285,46 @@ pub fn planned(
     };
     let fits = |settings: &_| fits(&with(*settings));
     let grounds: Vec<Ground> = views.iter().map(|view| ground(loaded, view)).collect();
-    let Some(chosen) = known.planner.choose(&goal, &asked, &grounds, &paces, fits) else {
+    let may_be = known.asked(&asked);
+    let Some(chosen) = known.planner.choose(&goal, &may_be, &grounds, &paces, fits) else {
         return unplanned("no measured setting goes with those that are given");
     };
-    let is_as_measured = is_own && chosen.is_as_measured && request.output == Output::Color;
-    let from = is_as_measured.then_some((known, chosen.row, chosen.measured_pace_ms));
-    let receipt = if is_own { chosen.plan } else { chosen.plan.of_other_content() };
-    (with(chosen.settings), Some(PlannedFrame { receipt, from }))
+    let settings = chosen.settings;
+    (with(settings), Some(PlannedFrame::new(known, is_own, chosen, request.output)))
+}
+
+/// A frame of a moving pose as measurements have it drawn: the most exact settings and size in time. `None` where the scene was not measured, or nothing
+/// that was measured goes with the request, which has the size of the still frame. `fits` tells which requests can be drawn.
+pub fn planned_moving(
+    state: &EngineState,
+    loaded: &Loaded,
+    request: &FrameRequest,
+    view: &View,
+    moving: &Moving<'_>,
+    fits: impl Fn(&FrameRequest) -> bool,
+) -> Option<(FrameRequest, PlannedFrame)> {
+    let (known, is_own) = state.planners.find_for(state, loaded)?;
+    let paces = known.pace.lock().paces.clone();
+    let at = |settings: Settings, scale: f64| {
+        let side = |whole: u32| ((f64::from(whole) * scale).round() as u32).clamp(1, whole);
+        let (width, height) = (side(request.width), side(request.height));
+        FrameRequest { settings, width, height, ..request.clone() }
+    };
+    let fits = |settings: &Settings, scale| fits(&at(*settings, scale));
+    let ground = ground(loaded, view);
+    let asked = known.asked(&request.settings);
+    let chosen = known.planner.choose_moving(moving, &asked, &ground, &paces, fits)?;
+    let frame = at(chosen.settings, chosen.scale);
+    Some((frame, PlannedFrame::new(known, is_own, chosen, request.output)))
+}
+
+impl PlannedFrame {
+    fn new(known: Arc<Known>, is_own: bool, chosen: Chosen, output: Output) -> PlannedFrame {
+        let is_as_measured = is_own && chosen.is_as_measured && output == Output::Color;
+        let from = is_as_measured.then_some((known, chosen.row, chosen.measured_pace_ms));
+        let receipt = if is_own { chosen.plan } else { chosen.plan.of_other_content() };
+        PlannedFrame { receipt, from }
+    }
 }
 
 #[cfg(test)]

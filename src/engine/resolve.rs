@@ -21,6 +21,7 @@ use crate::encode::{self, EncodeError};
 use crate::math::View;
 use crate::passes::{Levels, PAINTED_BYTES, PATCH_BYTES, SLABS_BYTES, Slabs};
 use crate::plan::auto::{self, Choice};
+use crate::plan::planner::Moving;
 use crate::plan::{
     AdapterFacts, Antialias, ColorBy, Edl, ImagePart, Output, Reconstruct, Reconstruction,
     SceneFacts, Settings, Wait,
@@ -76,7 +77,7 @@ impl UnbakedFrame {
         let mut unbaked = self;
         loop {
             let scene = unbaked.begin()?.scene().await?;
-            match resolve_in(&unbaked.state, scene, unbaked.request)? {
+            match resolve_in(&unbaked.state, scene, unbaked.request, None)? {
                 Resolution::Ready(frame) => return Ok(frame),
                 Resolution::NeedsBake(next) => unbaked = *next,
             }
@@ -91,7 +92,7 @@ impl UnbakedFrame {
         let mut unbaked = self;
         loop {
             let scene = unbaked.begin()?.wait_for_scene()?;
-            match resolve_in(&unbaked.state, scene, unbaked.request)? {
+            match resolve_in(&unbaked.state, scene, unbaked.request, None)? {
                 Resolution::Ready(frame) => return Ok(frame),
                 Resolution::NeedsBake(next) => unbaked = *next,
             }
@@ -148,6 +149,33 @@ fn view_of(
 ) -> Result<View, EngineError> {
     let settings = Settings { antialias: Antialias::Off, ..request.settings };
     Ok(check(state, loaded, &FrameRequest { settings, ..request.clone() })?.view)
+}
+
+/// A frame of a moving pose with the settings and the size that measurements of its scene choose. The request has the size of the still frame, and a
+/// goal. `at_once`: nothing is chosen that needs a bake. `None` where nothing is known.
+///
+/// # Errors
+/// Any error of the request; the frame is a part of an image.
+pub fn moving(
+    state: &EngineState,
+    request: &FrameRequest,
+    moving: &Moving<'_>,
+    at_once: bool,
+) -> Result<Option<(FrameRequest, PlannedFrame)>, EngineError> {
+    let loaded = state.loaded(&request.scene)?;
+    check_goal(&request.settings)?;
+    let view = view_of(state, &loaded, request)?;
+    let fits = |one: &FrameRequest| {
+        let lacks = || {
+            if loaded.is_whole() && loaded.trees().is_some() {
+                return false;
+            }
+            let (drawn, _) = with_detail(state, &loaded, one, &view);
+            goal_of(&loaded, &drawn, &view).is_some()
+        };
+        check_size(state, one).is_ok() && !(at_once && lacks())
+    };
+    Ok(planner::planned_moving(state, &loaded, request, &view, moving, fits))
 }
 
 /// The settings for the frames of a film: the goal of the requests, if they have one, is kept by all of them.
@@ -241,22 +269,28 @@ fn check_field(loaded: &Loaded, settings: &Settings) -> Result<(), EngineError> 
 ///
 /// # Errors
 /// Any error of the request.
-pub fn resolve(state: &Arc<EngineState>, request: FrameRequest) -> Result<Resolution, EngineError> {
+pub fn resolve(
+    state: &Arc<EngineState>,
+    request: FrameRequest,
+    planned: Option<PlannedFrame>,
+) -> Result<Resolution, EngineError> {
     let loaded = state.loaded(&request.scene)?;
-    resolve_in(state, loaded, request)
+    resolve_in(state, loaded, request, planned)
 }
 
-/// Does the work of [`resolve`] in a given revision of the scene.
+/// Does the work of [`resolve`] in a given revision of the scene. `planned` says how the settings were chosen, if they were.
 pub fn resolve_in(
     state: &Arc<EngineState>,
     loaded: Arc<Loaded>,
     request: FrameRequest,
+    planned: Option<PlannedFrame>,
 ) -> Result<Resolution, EngineError> {
     if let Some(hook) = &state.config.resolve_hook {
         hook();
     }
     let asked = request.clone();
-    let (request, planned) = prepared(state, &loaded, request)?;
+    let (request, own) = prepared(state, &loaded, request)?;
+    let planned = own.or(planned);
     let Ground { checked, drawn, full_because, lacks } = ground(state, &loaded, &request)?;
     let baked = match lacks {
         None if !drawn.settings.draws_trees() => Ok((loaded.model.clone(), loaded.facts)),

@@ -3,6 +3,8 @@
 //! Frames of a scene were measured at several poses and sizes, with settings that trade accuracy for time ([`Measured`]). A [`Planner`] fits a
 //! [model] to the frames of each setting. For a new pose it predicts time and error of all settings that the request leaves open, and
 //! chooses with margins that the measured frames keep.
+//!
+//! Frames of a moving pose may be drawn smaller than they are shown. For them, settings were measured in smaller sizes as well ([`Moving`]).
 
 mod ground;
 mod measured;
@@ -30,6 +32,10 @@ const COMMON: f64 = 2.0;
 const MOST_FRAMES: f64 = 16.0;
 /// Largest change of a pace by one frame: it may have compiled a shader.
 const MOST_CHANGE: f64 = 1.25;
+/// The setting of the frame before stays while the pose moves, unless another one is more exact by this much: each change is seen.
+const HELD_DB: f64 = 1.0;
+/// How much longer than the time it may be predicted to take.
+const HELD_TIMES: f64 = 1.15;
 /// Range of a pace.
 const PACES: [f64; 2] = [1.0 / 16.0, 16.0];
 
@@ -40,6 +46,25 @@ pub struct Goal {
     pub most_ms: Option<f64>,
     /// Least peak signal-to-noise ratio against the reference, in decibels.
     pub least_db: Option<f64>,
+}
+
+/// What the next frame of a moving pose may be.
+#[derive(Clone, Copy, Debug)]
+pub struct Moving<'a> {
+    /// Longest predicted GPU time, in milliseconds.
+    pub most_ms: f64,
+    /// Least and largest width and height, as shares of those that the frame is shown at.
+    pub scales: [f64; 2],
+    /// Name of the setting that the frame before was drawn with.
+    pub held: Option<&'a str>,
+}
+
+/// What a request may be drawn with: the settings of each measured row that goes with those that it gives.
+#[derive(Clone, Debug)]
+pub struct Asked {
+    rows: Vec<(usize, Settings)>,
+    /// Given settings of which the measurements say nothing.
+    others: Vec<&'static str>,
 }
 
 /// The measured settings of a scene, each with its model.
@@ -55,6 +80,8 @@ pub struct Planner {
 struct Row {
     label: String,
     given: Given,
+    /// Width and height of drawn frames as a share of those that they are shown at.
+    scale: f64,
     /// Shared with rows that are drawn alike everywhere.
     model: Arc<Model>,
     /// The first row that is drawn alike: they have one pace.
@@ -75,6 +102,8 @@ pub struct Chosen {
     /// The first of the rows that are drawn alike.
     pub row: usize,
     pub settings: Settings,
+    /// Width and height of the frame as a share of those that it is shown at.
+    pub scale: f64,
     pub plan: PlanReceipt,
     /// Time in ms that would be predicted if frames took as long as measured ones.
     pub measured_pace_ms: f64,
@@ -185,12 +214,15 @@ impl Planner {
                         .zip(&row.points)
                         .filter_map(|(ground, point)| Some((ground.clone(), (*point)?)))
                         .collect();
-                    let Some(model) = Model::fit(effort(&row.given), &points) else { continue };
+                    let Some(model) = Model::fit(effort(&row.given, row.scale), &points) else {
+                        continue;
+                    };
                     (Arc::new(model), rows.len())
                 }
             };
             fitted.push(row);
-            rows.push(Row { label: row.label.clone(), given: row.given, model, alike });
+            let (label, given, scale) = (row.label.clone(), row.given, row.scale);
+            rows.push(Row { label, given, scale, model, alike });
         }
         let mut varied: Vec<&'static str> = rows.iter().flat_map(|row| row.given.names()).collect();
         varied.sort_unstable();
@@ -207,32 +239,102 @@ impl Planner {
         self.rows.is_empty()
     }
 
+    /// Finds what a request with a goal may be drawn with. The same for all goals and views.
+    pub fn asked(&self, settings: &Settings) -> Asked {
+        let rows = self.rows.iter().enumerate();
+        let rows = rows
+            .filter_map(|(index, row)| Some((index, settings.planned(&row.given, &self.varied)?)));
+        Asked { rows: rows.collect(), others: settings.beyond(&self.varied) }
+    }
+
     /// Chooses settings for frames with this goal, all of which are to keep it. `allows` tells which settings can be drawn. `None` if none can.
     pub fn choose(
         &self,
         goal: &Goal,
-        asked: &Settings,
+        asked: &Asked,
         grounds: &[Ground],
         paces: &Paces,
         allows: impl Fn(&Settings) -> bool,
     ) -> Option<Chosen> {
-        let found: Vec<(usize, Settings, Prediction)> = self
-            .rows
-            .iter()
-            .enumerate()
-            .filter_map(|(index, row)| {
-                let settings = asked.planned(&row.given, &self.varied).filter(&allows)?;
-                let pace = paces.of(row.alike);
-                let frames = grounds.iter().map(|ground| row.model.predict(ground, pace));
-                Some((index, settings, frames.reduce(Prediction::worse)?))
-            })
-            .collect();
+        let is_whole = |row: &Row, settings: &Settings| row.scale >= 1.0 && allows(settings);
+        let found = self.predictions(asked, grounds, paces, is_whole);
         let (best, because) = pick(goal, &found)?;
+        let keeps = goal.keeps(&found[best].2);
+        Some(self.chosen(goal, asked, paces, &found, (best, keeps, because)))
+    }
+
+    /// Chooses settings and size for a frame of a moving pose: the most exact ones that are predicted to be drawn in time. Margins do not count,
+    /// since a late frame does no harm. `allows` tells which settings can be drawn, at which scale. `None` if none can.
+    pub fn choose_moving(
+        &self,
+        moving: &Moving<'_>,
+        asked: &Asked,
+        ground: &Ground,
+        paces: &Paces,
+        allows: impl Fn(&Settings, f64) -> bool,
+    ) -> Option<Chosen> {
+        let fits = |row: &Row, settings: &Settings| {
+            let [least, most] = moving.scales;
+            (least..=most).contains(&row.scale) && allows(settings, row.scale)
+        };
+        let found = self.predictions(asked, std::slice::from_ref(ground), paces, fits);
+        let is_in_time = |at: &usize, times: f64| found[*at].2.ms <= times * moving.most_ms;
+        let db = |at: usize| found[at].2.psnr_db;
+        // Of equal ones the first: plain settings come first.
+        let in_time = (0..found.len()).rev().filter(|at| is_in_time(at, 1.0));
+        let exact = in_time.max_by(|&a, &b| db(a).total_cmp(&db(b)));
+        let held = |best: usize| {
+            let is_held = |at: &usize| Some(&*self.rows[found[*at].0].label) == moving.held;
+            let held = (0..found.len()).find(is_held);
+            held.filter(|at| is_in_time(at, HELD_TIMES) && db(*at) >= db(best) - HELD_DB)
+        };
+        let (best, because) = match exact.map(|best| (best, held(best))) {
+            Some((_, Some(held))) => {
+                (held, "that of the frame before, and no other in time is much more exact")
+            }
+            Some((best, None)) => (best, "the most exact setting and size in time"),
+            None => {
+                let ms = |at: &usize| found[*at].2.ms;
+                let fastest = (0..found.len()).min_by(|a, b| ms(a).total_cmp(&ms(b)))?;
+                (fastest, "the fastest setting and size; none is known to be in time")
+            }
+        };
+        let goal = Goal { most_ms: Some(moving.most_ms), least_db: None };
+        let because = format!("the pose moves: {because}");
+        Some(self.chosen(&goal, asked, paces, &found, (best, exact.is_some(), because)))
+    }
+
+    /// The settings of each row that is wanted, and the worst of its predicted frames.
+    fn predictions(
+        &self,
+        asked: &Asked,
+        grounds: &[Ground],
+        paces: &Paces,
+        is_wanted: impl Fn(&Row, &Settings) -> bool,
+    ) -> Vec<(usize, Settings, Prediction)> {
+        let rows = asked.rows.iter();
+        rows.filter_map(|&(index, settings)| {
+            let row = &self.rows[index];
+            let pace = paces.of(row.alike);
+            let frames = || grounds.iter().map(|ground| row.model.predict(ground, pace));
+            let is_wanted = is_wanted(row, &settings);
+            Some((index, settings, is_wanted.then(frames)?.reduce(Prediction::worse)?))
+        })
+        .collect()
+    }
+
+    /// The choice of the row `best` among those that were found.
+    fn chosen(
+        &self,
+        goal: &Goal,
+        asked: &Asked,
+        paces: &Paces,
+        found: &[(usize, Settings, Prediction)],
+        (best, keeps, because): (usize, bool, String),
+    ) -> Chosen {
         let (row, settings, prediction) = found[best];
-        let front = self.front(&found, best);
-        let others = asked.beyond(&self.varied);
-        let (keeps, because) = match &others[..] {
-            [] => (Some(goal.keeps(&prediction)), because),
+        let (keeps, because) = match &asked.others[..] {
+            [] => (Some(keeps), because),
             // A picture of another look has other errors and times.
             others => {
                 let others = others.join("`, `");
@@ -242,14 +344,15 @@ impl Planner {
         let plan = PlanReceipt {
             keeps,
             chosen: Some(self.alternative(row, &prediction)),
-            alternatives: front,
+            alternatives: self.front(found, best),
             compared: found.len(),
             poses: self.poses,
             ..goal.unplanned(because)
         };
-        let row = self.rows[row].alike;
+        let Row { scale, alike: row, .. } = self.rows[row];
         let measured_pace_ms = prediction.ms / paces.of(row);
-        Some(Chosen { row, settings, plan, measured_pace_ms, is_as_measured: others.is_empty() })
+        let is_as_measured = asked.others.is_empty();
+        Chosen { row, settings, scale, plan, measured_pace_ms, is_as_measured }
     }
 
     fn alternative(&self, row: usize, found: &Prediction) -> Alternative {
@@ -328,12 +431,12 @@ fn pick(goal: &Goal, found: &[(usize, Settings, Prediction)]) -> Option<(usize, 
     }
 }
 
-/// What a setting means for the work of a frame.
-fn effort(given: &Given) -> Effort {
+/// What a setting means for the work of a frame that is drawn at a scale. Pixels are those of the frame as it is shown.
+fn effort(given: &Given, scale: f64) -> Effort {
     let settings = Settings::from(*given);
     Effort {
-        error_px: settings.accepted_px_of_trees().map(f64::from),
-        parts: f64::from(settings.parts()).powi(2),
+        error_px: settings.accepted_px_of_trees().map(|px| f64::from(px) / scale),
+        parts: (f64::from(settings.parts()) * scale).powi(2),
     }
 }
 

@@ -4,9 +4,9 @@ use std::collections::BTreeSet;
 
 use glam::{DAffine3, DVec3};
 use pointillist::bake::cache::BakeCache;
-use pointillist::engine::{FrameRequest, NodePatch, Pose, Receipt};
+use pointillist::engine::{Client, FrameRequest, NodePatch, Pose, Receipt, Resolution};
 use pointillist::math::{Camera, Lens};
-use pointillist::plan::planner::{Measured, MeasuredPose, MeasuredRow, Point};
+use pointillist::plan::planner::{Measured, MeasuredPose, MeasuredRow, Moving, Point};
 use pointillist::plan::{Given, Lod, Output, Reconstruct, Settings};
 
 use super::studio::{Studio, cloud_scene, front, wall};
@@ -39,7 +39,12 @@ fn measured() -> Measured {
     };
     let row = |&(label, pairs, db, ms): &Row| {
         let point = Some(Point { mse: 65025.0 / 10f64.powf(0.1 * db), ms });
-        MeasuredRow { label: label.to_owned(), given: given(pairs), points: vec![point; 8] }
+        MeasuredRow {
+            label: label.to_owned(),
+            given: given(pairs),
+            scale: 1.0,
+            points: vec![point; 8],
+        }
     };
     Measured {
         poses: (0..8).map(|at| pose(2.0 + 0.25 * f64::from(at))).collect(),
@@ -201,6 +206,53 @@ fn predicted_times_follow_the_frames() {
         last = ms;
     }
     assert!(last < 0.3 * first, "{last} after {first}");
+}
+
+#[test]
+fn frames_of_moving_poses_are_chosen_with_their_size() {
+    let studio = studio();
+    let mut known = measured();
+    let half = |of: usize, db: f64, ms: f64| {
+        let point = Some(Point { mse: 65025.0 / 10f64.powf(0.1 * db), ms });
+        let row = known.rows[of].clone();
+        let label = format!("{} size=1/2", row.label);
+        MeasuredRow { label, scale: 0.5, points: vec![point; 8], ..row }
+    };
+    let halves = [half(1, 28.0, 10.0), half(2, 27.0, 20.0)];
+    let asked = |ms: f64, pairs: &[(&str, &str)]| {
+        let settings = given(pairs).moving_within(ms).resolve().unwrap();
+        FrameRequest { settings, ..front("cloud", 96, 64) }
+    };
+    let plan = |request: &FrameRequest, most_ms: f64, at_once: bool| {
+        let moving = Moving { most_ms, scales: [0.1, 1.0], held: None };
+        studio.engine.plan_moving(request, &moving, at_once).unwrap()
+    };
+    assert!(plan(&asked(50.0, &[]), 50.0, true).is_none(), "nothing was measured");
+    known.rows.extend(halves);
+    studio.engine.learn("cloud", known).unwrap();
+    let (trees, _) = plan(&asked(50.0, &[]), 50.0, false).unwrap();
+    assert_eq!((trees.width, trees.height, trees.settings.lod), (48, 32, Lod::Spt));
+    // Without its trees, the next best is drawn.
+    let (request, _) = plan(&asked(50.0, &[]), 50.0, true).unwrap();
+    assert_eq!((request.width, request.settings.lod), (48, Lod::Full));
+    studio.engine.bake(&trees).unwrap();
+    let (request, planned) = plan(&asked(50.0, &[]), 50.0, true).unwrap();
+    assert_eq!((request.width, request.settings.lod), (48, Lod::Spt));
+    let Resolution::Ready(frame) = studio.engine.resolve_planned(request, Some(planned)).unwrap()
+    else {
+        panic!("the trees are there");
+    };
+    let receipt =
+        studio.engine.queue(Client::Unnamed, frame).unwrap().wait().unwrap().receipt.clone();
+    let plan_of = receipt.planned.unwrap();
+    assert_eq!(plan_of.chosen.unwrap().setting, "trees size=1/2");
+    assert_eq!((plan_of.keeps, plan_of.budget_ms), (Some(true), Some(50.0)));
+    // What is given stays; a part of an image has the size that it has.
+    let (request, _) = plan(&asked(50.0, &[("reconstruct", "points")]), 50.0, true).unwrap();
+    assert_eq!((request.width, request.settings.reconstruct), (96, Reconstruct::Points));
+    let part = asked(50.0, &[("part_of", "192,128,0,0")]);
+    let moving = Moving { most_ms: 50.0, scales: [0.1, 1.0], held: None };
+    assert!(studio.engine.plan_moving(&part, &moving, true).is_err());
 }
 
 #[test]

@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 use super::client::Client;
 use super::daemon::{Daemon, eventually};
 use super::schema::Contract;
+use super::stream::Stream;
 
 const PLACE: &str = "/v1/scenes/grid/accuracy";
 const STATE: &str = "urn:pointillist:problem:";
@@ -317,6 +318,27 @@ fn a_measurement_for_the_planner_serves_goals() {
     let known = plan();
     assert_eq!((&known["keeps"], &known["poses"]), (&json!(true), &json!(24)), "{known}");
     assert!(known["actual_ms"].as_f64().is_some_and(|ms| ms > 0.0), "{known}");
+    // Moving frames of a stream are chosen as well, and the still one that follows is not.
+    let mut stream =
+        Stream::open(&daemon, "/v1/scenes/grid/stream?camera=front&w=256&h=192&format=raw");
+    let frames = stream.frames_until(|frame| frame["quality"] == "still");
+    assert!(frames.len() > 1, "a moving one comes first");
+    for frame in &frames {
+        let plan = &frame["receipt"]["planned"];
+        if frame["quality"] == "still" {
+            assert_eq!((plan, &frame["width"]), (&Value::Null, &json!(256)));
+            continue;
+        }
+        assert!(plan["budget_ms"].as_f64().is_some_and(|ms| ms > 0.0), "{plan}");
+        assert!(plan["because"].as_str().is_some_and(|why| why.starts_with("the pose moves")));
+        let setting = plan["chosen"]["setting"].as_str().unwrap();
+        let scale = frame["scale"].as_f64().unwrap();
+        assert_eq!(setting.contains("size="), scale < 1.0, "{setting} at {scale}");
+        assert_eq!(frame["width"].as_f64(), Some((256.0 * scale).round()), "{setting}");
+        // The link is not known yet.
+        assert!(scale <= 0.5, "{scale}");
+    }
+    drop(stream);
     let removed = |status: u16| {
         let reply = client.send("DELETE", PLACE, &[], None);
         assert_eq!(reply.status, status, "{}", reply.text());
@@ -324,6 +346,8 @@ fn a_measurement_for_the_planner_serves_goals() {
     removed(204);
     removed(404);
     assert_eq!(state(&client)["planner"], Value::Null);
+    let mut stream = Stream::open(&daemon, "/v1/scenes/grid/stream?camera=front&w=256&h=192");
+    assert_eq!(stream.frame()["receipt"]["planned"], Value::Null);
 }
 
 #[test]

@@ -8,7 +8,7 @@ use std::time::Instant;
 use super::pacing::Pace;
 use super::wire::Quality;
 use crate::encode::ImageFormat;
-use crate::engine::FrameRequest;
+use crate::engine::{FrameRequest, PlannedFrame};
 use crate::http::params::FrameParams;
 use crate::http::problem::Problem;
 use crate::plan::{MaxError, Output};
@@ -24,6 +24,8 @@ pub struct Wanted {
     pub quality: Quality,
     /// Width and height as a share of the requested size.
     pub scale: f64,
+    /// How size and settings were chosen, where measurements tell.
+    pub planned: Option<PlannedFrame>,
 }
 
 /// Fields of a frame's header that say how it was made.
@@ -62,7 +64,8 @@ pub fn still_request(id: &str, params: &FrameParams) -> Result<FrameRequest, Pro
     Ok(request.with_antialias_decided().with_blur_decided())
 }
 
-/// Builds a frame of the given quality. A moving frame that comes out as good as requested counts as still.
+/// Builds a frame of the given quality. A moving frame that comes out as good as requested counts as still. `plan` chooses size and settings of a
+/// moving frame where that is possible: it gets a request with a goal and the size of the still frame, and the range of scales.
 ///
 /// # Errors
 /// As [`still_request`].
@@ -71,21 +74,22 @@ pub fn wanted(
     params: &FrameParams,
     quality: Quality,
     pace: Pace,
+    plan: impl FnOnce(&FrameRequest, [f64; 2]) -> Option<(FrameRequest, PlannedFrame)>,
 ) -> Result<Wanted, Problem> {
     let still = still_request(id, params)?;
     if quality == Quality::Still {
-        return Ok(Wanted { request: still, quality, scale: 1.0 });
+        return Ok(Wanted { request: still, quality, scale: 1.0, planned: None });
     }
-    let least = f64::from(LEAST_SIDE) / f64::from(still.width.min(still.height));
-    // A part of a larger image has its size from the place that it takes there.
-    let scale = if still.settings.is_part() { 1.0 } else { pace.scale.max(least).min(1.0) };
-    let side = |full: u32| ((f64::from(full) * scale).round() as u32).clamp(1, full);
-    let smaller =
-        FrameParams { w: Some(side(still.width)), h: Some(side(still.height)), ..params.clone() };
-    let mut request = still_request(id, &smaller)?;
-    // The choice is made for the still frame that follows, so that points do not turn into splats when the pose stops.
-    let frame = still.settings.still_frame(still.height);
-    request.settings.stand_in_for(frame, moving_error(frame.max_error, pace.coarseness));
+    let least = (f64::from(LEAST_SIDE) / f64::from(still.width.min(still.height))).min(1.0);
+    let settings = params.settings.moving_within(pace.draw_ms);
+    let mut whole = still_request(id, &FrameParams { settings, ..params.clone() })?;
+    whole.settings = whole.settings.without_blur();
+    let planned = plan(&whole, [least, pace.link_scale.max(least)]);
+    let is_planned = planned.is_some();
+    let (mut request, planned) = match planned {
+        Some((request, planned)) => (request, Some(planned)),
+        None => (unplanned(id, params, &still, pace.scale.max(least), pace.coarseness)?, None),
+    };
     // A client that asked for a format that browsers show can show a JPEG. For other formats this is unknown.
     let shown = matches!(request.format, ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::Webp);
     if shown && request.output == Output::Color {
@@ -98,9 +102,30 @@ pub fn wanted(
         let sampling = (settings.parts(), settings.exposures());
         (request.width, request.height, sampling, Made::of(request))
     };
-    let as_asked = facts(&request) == facts(&still);
-    let quality = if as_asked { Quality::Still } else { Quality::Moving };
-    Ok(Wanted { request, quality, scale })
+    let is_as_asked = !is_planned && facts(&request) == facts(&still);
+    let quality = if is_as_asked { Quality::Still } else { Quality::Moving };
+    let scale = f64::from(request.width) / f64::from(still.width);
+    Ok(Wanted { request, quality, scale, planned })
+}
+
+/// A moving frame of a scene of which nothing was measured.
+fn unplanned(
+    id: &str,
+    params: &FrameParams,
+    still: &FrameRequest,
+    scale: f64,
+    coarseness: f64,
+) -> Result<FrameRequest, Problem> {
+    // A part of a larger image has its size from the place that it takes there.
+    let scale = if still.settings.is_part() { 1.0 } else { scale.min(1.0) };
+    let side = |full: u32| ((f64::from(full) * scale).round() as u32).clamp(1, full);
+    let smaller =
+        FrameParams { w: Some(side(still.width)), h: Some(side(still.height)), ..params.clone() };
+    let mut request = still_request(id, &smaller)?;
+    // The choice is made for the still frame that follows, so that points do not turn into splats when the pose stops.
+    let frame = still.settings.still_frame(still.height);
+    request.settings.stand_in_for(frame, moving_error(frame.max_error, coarseness));
+    Ok(request)
 }
 
 /// Returns the error that a moving frame may have. Frames of full detail ignore it.

@@ -18,12 +18,19 @@
 //! plaza, drawn on a CPU, in shares of the cost at 640 × 480: 0.54 at 320 × 240, 0.39 at 160 × 120, and at that size 0.21 at
 //! twice and 0.09 at four times the error.)
 //!
+//! Where the frames of the scene were measured, the planner chooses size and settings of moving frames instead: the most exact ones that are predicted to be drawn within
+//! [`Pace::draw_ms`]. That is what the [stage] of the engine leaves of [`TARGET`].
+//!
 //! The window holds as many frames as fill the link at that pace and no more, so that a pose never waits behind pictures in
 //! flight. A client that does not acknowledge gets one window of frames, which is one frame at first. The window is limited in
 //! frames, and in bytes that the link was measured to carry in [`AHEAD`].
 
+mod stage;
+
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
+
+use stage::Stage;
 
 /// Time per frame at which moving frames aim.
 pub const TARGET: Duration = Duration::from_millis(33);
@@ -59,6 +66,10 @@ pub struct Pace {
     /// Factor of the accepted error, 1 or more.
     pub coarseness: f64,
     pub jpeg_quality: u8,
+    /// Largest factor of width and height that the link allows.
+    pub link_scale: f64,
+    /// Longest predicted GPU time of a frame, in milliseconds.
+    pub draw_ms: f64,
 }
 
 /// A frame that has not been acknowledged.
@@ -90,6 +101,7 @@ pub struct Pacer {
     drawn_pixels: f64,
     link_pixels: f64,
     jpeg_quality: f64,
+    stage: Stage,
 }
 
 impl Pacer {
@@ -109,6 +121,7 @@ impl Pacer {
             drawn_pixels: 0.25,
             link_pixels: 0.25,
             jpeg_quality: 70.0,
+            stage: Stage::default(),
         }
     }
 
@@ -144,6 +157,8 @@ impl Pacer {
             // Only fewer pixels help a slow link. The steps are few because frame costs are known by their errors.
             coarseness: quarter_octave((COARSE_PIXELS / self.drawn_pixels).clamp(1.0, MOST_COARSE)),
             jpeg_quality: self.jpeg_quality.round() as u8,
+            link_scale: self.link_pixels.sqrt(),
+            draw_ms: self.stage.draw_ms(TARGET),
         }
     }
 
@@ -154,12 +169,21 @@ impl Pacer {
         self.unacked.front().map(|sent| (sent.number, sent.at + patience))
     }
 
-    /// Records a frame from the engine; a moving frame had `share` of the requested pixels.
-    pub fn drawn(&mut self, asked: Instant, done: Instant, share: Option<f64>) {
+    /// Records a frame from the engine; a moving frame had `share` of the requested pixels, and a planned one a predicted GPU time.
+    pub fn drawn(
+        &mut self,
+        asked: Instant,
+        done: Instant,
+        share: Option<f64>,
+        predicted_ms: Option<f64>,
+    ) {
         let began = self.last_drawn_at.map_or(asked, |last| last.max(asked));
         self.last_drawn_at = Some(done);
         if let Some(share) = share {
             let took = done.saturating_duration_since(began);
+            if let Some(predicted_ms) = predicted_ms {
+                self.stage.see(predicted_ms, took);
+            }
             self.drawn_pixels = toward(self.drawn_pixels, share, took, self.drawn_pixels);
         }
     }

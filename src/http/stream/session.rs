@@ -25,6 +25,7 @@ use crate::http::limits::{LONGEST_PAUSE, Standing};
 use crate::http::params::FrameParams;
 use crate::http::problem::{Kind, Problem};
 use crate::http::{App, Caller};
+use crate::plan::planner::Moving;
 
 /// Largest number of outstanding frames: one being drawn, one waiting.
 const MOST_ASKED: usize = 2;
@@ -49,6 +50,10 @@ pub struct Session {
     asked: VecDeque<Asked>,
     frames: u64,
     baking: Option<BakeTicket>,
+    /// The bake that planned frames of the moving pose need; others are drawn meanwhile, and after it has failed.
+    preparing: Option<BakeTicket>,
+    /// Setting that the last planned frame was drawn with.
+    held: Option<String>,
     /// The engine accepts nothing before this time.
     retry_at: Option<Instant>,
     heard_at: Instant,
@@ -115,6 +120,8 @@ impl Session {
             asked: VecDeque::new(),
             frames: 0,
             baking: None,
+            preparing: None,
+            held: None,
             retry_at: None,
             heard_at: Instant::now(),
             allowance: Allowance::new(Instant::now()),
@@ -138,9 +145,9 @@ impl Session {
             Err(end) => end,
         };
         self.count_overtaken();
-        let Session { send_queue, source, slot, asked, baking, .. } = self;
+        let Session { send_queue, source, slot, asked, baking, preparing, .. } = self;
         // This cancels waiting requests before the wait for the close.
-        drop((asked, slot, baking));
+        drop((asked, slot, baking, preparing));
         match end {
             End::Close(close) => send_queue.close(close, source).await,
             End::CloseUnread(close) => send_queue.close_unread(close, source).await,
@@ -364,23 +371,27 @@ impl Session {
         if !self.has_replaceable() && !self.has_room() {
             return Ok(());
         }
-        let found = wanted(&self.id, params, quality, self.pacer.pace());
-        let Wanted { request, quality, scale } = match found {
+        let Wanted { request, quality, scale, planned } = match self.wanted(params, quality) {
             Ok(wanted) => wanted,
             Err(problem) => {
                 self.schedule.give_up();
                 return self.tell(&Event::Problem { seq: Some(seq), problem });
             }
         };
-        let resolved = self.app.engine.resolve(request).and_then(|resolution| match resolution {
+        // A frame that a bake must precede is drawn otherwise meanwhile.
+        let is_chosen_again = planned.is_some() && self.preparing.is_none();
+        let resolved = self.app.engine.resolve_planned(request, planned);
+        let resolved = resolved.and_then(|resolution| match resolution {
             Resolution::Ready(frame) => Ok(Some(frame)),
             Resolution::NeedsBake(unbaked) => {
-                self.baking = Some(unbaked.begin()?);
+                let baking = if is_chosen_again { &mut self.preparing } else { &mut self.baking };
+                *baking = Some(unbaked.begin()?);
                 Ok(None)
             }
         });
         let frame = match resolved {
             Ok(Some(frame)) => frame,
+            Ok(None) if is_chosen_again => return self.ask(),
             Ok(None) => return Ok(()),
             Err(error) => return self.failed(Some(seq), error),
         };
@@ -397,6 +408,16 @@ impl Session {
         self.schedule.asked(quality);
         self.asked.push_back(Asked { ticket, seq, quality, scale, made, at: now });
         Ok(())
+    }
+
+    /// Builds a frame of the given quality, planned where the scene was measured.
+    fn wanted(&self, params: &FrameParams, quality: Quality) -> Result<Wanted, Problem> {
+        let pace = self.pacer.pace();
+        wanted(&self.id, params, quality, pace, |request, scales| {
+            let moving = Moving { most_ms: pace.draw_ms, scales, held: self.held.as_deref() };
+            // What is wrong with the request is told about the frame that is not planned.
+            self.app.engine.plan_moving(request, &moving, self.preparing.is_some()).ok()?
+        })
     }
 
     /// Returns whether a request would replace one that still waits.
@@ -438,7 +459,10 @@ impl Session {
         };
         let now = Instant::now();
         let share = (asked.quality == Quality::Moving).then_some(asked.scale * asked.scale);
-        self.pacer.drawn(asked.at, now, share);
+        let planned = frame.receipt.planned.as_ref().and_then(|plan| plan.chosen.as_ref());
+        let planned = planned.filter(|_| share.is_some());
+        self.pacer.drawn(asked.at, now, share, planned.map(|chosen| chosen.ms));
+        self.held = planned.map(|chosen| chosen.setting.clone());
         self.frames += 1;
         let camera = &frame.receipt.camera;
         let header = FrameHeader {
@@ -505,6 +529,7 @@ impl Session {
             return Ok(());
         }
         self.mark = mark;
+        (self.preparing, self.held) = (None, None);
         let scene = self.id.clone();
         let Some(SceneMark { revision, .. }) = mark else {
             self.tell(&Event::Deleted { scene: &scene })?;

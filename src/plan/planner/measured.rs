@@ -29,6 +29,8 @@ pub struct MeasuredPose {
 pub struct MeasuredRow {
     pub label: String,
     pub given: Given,
+    /// Width and height of the drawn frames as a share of those that they are shown at. Errors are those of the enlarged frames.
+    pub scale: f64,
     pub points: Vec<Option<Point>>,
 }
 

@@ -35,12 +35,12 @@ pub struct Point {
     pub ms: f64,
 }
 
-/// What the level of detail and the antialiasing of a setting mean for its time.
+/// What the level of detail, the antialiasing and the size of a setting mean for its time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Effort {
-    /// Accepted error of `lod=spt`, in pixels; `None` at full detail.
+    /// Accepted error of `lod=spt`, in pixels of the frame as it is shown; `None` at full detail.
     pub error_px: Option<f64>,
-    /// Parts of a pixel that are averaged.
+    /// Drawn pixels, for each pixel that is shown.
     pub parts: f64,
 }
 

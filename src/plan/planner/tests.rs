@@ -40,10 +40,15 @@ const FINE: &[(&str, &str)] = &[("lod", "full"), ("reconstruct", "splats"), ("an
 
 /// A time that the linear model can express, with factors of its own for each row, and an error that grows with the distance of samples.
 fn point(row: usize, given: &Given, ground: &Ground) -> Point {
-    let effort = effort(given);
+    point_at(row, given, 1.0, ground)
+}
+
+/// The same of a frame that is drawn at a scale.
+fn point_at(row: usize, given: &Given, scale: f64, ground: &Ground) -> Point {
+    let effort = effort(given, scale);
     let load = ground.load(effort.error_px);
     let ms = 0.5 + 1e-5 * ground.pixels * effort.parts + 2e-5 * load.samples;
-    let db = [36.0, 34.0, 28.0, 44.0][row] - 10.0 * ground.covered.log10();
+    let db = [36.0, 34.0, 28.0, 44.0][row] + 12.0 * scale.log2() - 10.0 * ground.covered.log10();
     Point { mse: 65025.0 / 10f64.powf(0.1 * db), ms }
 }
 
@@ -60,12 +65,16 @@ fn planner() -> (Planner, Vec<Ground>) {
         .enumerate()
         .map(|(at, &distance)| ground_at(distance, [320, 640][at % 2]))
         .collect();
-    let row = |(index, (label, given)): (usize, (&str, Given))| MeasuredRow {
-        label: label.to_owned(),
+    let row = |(index, (label, given)): (usize, (&str, Given)), scale: f64| MeasuredRow {
+        label: if scale < 1.0 { format!("{label} size={scale}") } else { label.to_owned() },
         given,
-        points: grounds.iter().map(|ground| Some(point(index, &given, ground))).collect(),
+        scale,
+        points: grounds.iter().map(|ground| Some(point_at(index, &given, scale, ground))).collect(),
     };
-    let rows = rows().into_iter().enumerate().map(row).collect();
+    let sizes = [1.0, 0.5, 0.25].into_iter();
+    let rows =
+        sizes.flat_map(|scale| rows().into_iter().enumerate().map(move |found| row(found, scale)));
+    let rows = rows.collect();
     let planner = Planner::fit(&Measured { poses: Vec::new(), rows }, &grounds);
     (planner, grounds)
 }
@@ -76,8 +85,13 @@ fn asked(pairs: &[(&str, &str)]) -> Settings {
 
 fn choose(planner: &Planner, pairs: &[(&str, &str)], ground: &Ground) -> Option<Chosen> {
     let asked = asked(pairs);
-    planner
-        .choose(&asked.goal()?, &asked, std::slice::from_ref(ground), &Paces::default(), |_| true)
+    planner.choose(
+        &asked.goal()?,
+        &planner.asked(&asked),
+        std::slice::from_ref(ground),
+        &Paces::default(),
+        |_| true,
+    )
 }
 
 #[test]
@@ -183,8 +197,12 @@ fn settings_that_are_drawn_alike_count_as_the_first() {
     let given = given(FULL);
     let points: Vec<Option<Point>> =
         grounds.iter().map(|ground| Some(point(0, &given, ground))).collect();
-    let row =
-        |label: &str, given| MeasuredRow { label: label.to_owned(), given, points: points.clone() };
+    let row = |label: &str, given| MeasuredRow {
+        label: label.to_owned(),
+        given,
+        scale: 1.0,
+        points: points.clone(),
+    };
     let rows = vec![row("full", given), row("twin", self::given(TREES))];
     let planner = Planner::fit(&Measured { poses: Vec::new(), rows }, &grounds);
     for goal in [("budget_ms", "1000"), ("min_psnr_db", "10"), ("min_psnr_db", "90")] {
@@ -202,7 +220,8 @@ fn frames_of_a_film_all_keep_the_goal() {
     let ms = |of: &[Ground]| {
         let asked = asked(&[("budget_ms", "1000")]);
         let goal = asked.goal().unwrap();
-        let chosen = planner.choose(&goal, &asked, of, &Paces::default(), |_| true).unwrap();
+        let chosen =
+            planner.choose(&goal, &planner.asked(&asked), of, &Paces::default(), |_| true).unwrap();
         chosen.plan.chosen.unwrap()
     };
     let each: Vec<Alternative> = grounds.iter().map(|one| ms(std::slice::from_ref(one))).collect();
@@ -221,10 +240,82 @@ fn settings_that_cannot_be_drawn_are_not_chosen() {
     let goal = asked.goal().unwrap();
     let paces = Paces::default();
     let one = |settings: &Settings| settings.parts() == 1;
-    let chosen = planner.choose(&goal, &asked, &grounds[..1], &paces, one).unwrap();
+    let chosen = planner.choose(&goal, &planner.asked(&asked), &grounds[..1], &paces, one).unwrap();
     assert_eq!(chosen.plan.chosen.unwrap().setting, "splats full");
     assert_eq!(chosen.plan.compared, 3);
-    assert!(planner.choose(&goal, &asked, &grounds[..1], &paces, |_| false).is_none());
+    assert!(
+        planner.choose(&goal, &planner.asked(&asked), &grounds[..1], &paces, |_| false).is_none()
+    );
+}
+
+/// The setting, its scale, and whether it is in time.
+fn moving(
+    planner: &Planner,
+    most_ms: f64,
+    scales: [f64; 2],
+    held: Option<&str>,
+) -> (String, f64, Option<bool>) {
+    let asked = Settings::from(Given::default().moving_within(most_ms));
+    let moving = Moving { most_ms, scales, held };
+    let (ground, paces) = (ground_at(2.5, 500), Paces::default());
+    let chosen = planner
+        .choose_moving(&moving, &planner.asked(&asked), &ground, &paces, |_, _| true)
+        .unwrap();
+    assert!(chosen.settings.goal().is_none() && chosen.plan.budget_ms == Some(most_ms));
+    (chosen.plan.chosen.unwrap().setting, chosen.scale, chosen.plan.keeps)
+}
+
+#[test]
+fn frames_of_moving_poses_are_as_exact_as_the_time_allows_in_any_size() {
+    let (planner, _) = planner();
+    let any = [0.0, 1.0];
+    let whole = moving(&planner, 1e4, any, None);
+    assert_eq!(whole, ("fine".into(), 1.0, Some(true)));
+    let link = moving(&planner, 1e4, [0.0, 0.5], None);
+    assert_eq!(link, ("fine size=0.5".into(), 0.5, Some(true)), "the link allows no more");
+    // Each step down in time is one in error, to the fastest at last.
+    let mut last = f64::INFINITY;
+    for most_ms in [300.0, 30.0, 10.0, 3.0, 1.5] {
+        let moving = Moving { most_ms, scales: any, held: None };
+        let asked = Settings::from(Given::default().moving_within(most_ms));
+        let (ground, paces) = (ground_at(2.5, 500), Paces::default());
+        let plan = planner
+            .choose_moving(&moving, &planner.asked(&asked), &ground, &paces, |_, _| true)
+            .unwrap()
+            .plan;
+        let chosen = plan.chosen.unwrap();
+        assert!(chosen.ms <= most_ms && chosen.psnr_db <= last, "{most_ms}: {chosen:?}");
+        last = chosen.psnr_db;
+    }
+    let (_, scale, keeps) = moving(&planner, 1e-3, any, None);
+    assert_eq!((scale, keeps), (0.25, Some(false)), "nothing is that fast");
+    assert_eq!(moving(&planner, 1e-3, [0.5, 1.0], None).1, 0.5, "smaller ones are too small");
+}
+
+#[test]
+fn the_setting_of_the_frame_before_stays_if_little_is_gained() {
+    let (planner, _) = planner();
+    let any = [0.0, 1.0];
+    let of = |held| moving(&planner, 1e4, any, held).0;
+    assert_eq!(of(Some("splats full")), "fine", "8 dB are much");
+    let exact = |most_ms: f64, held| moving(&planner, most_ms, any, held);
+    // A time at which the best setting just fits, and one a little shorter.
+    let ms = planner.rows[0].model.predict(&ground_at(2.5, 500), 1.0).ms;
+    let fits = exact(1.01 * ms, None);
+    let held = exact(0.95 * ms, Some(&fits.0));
+    assert_eq!((&fits.0, fits.1), (&held.0, held.1));
+    assert_ne!(exact(0.7 * ms, Some("splats full")).0, "splats full");
+}
+
+#[test]
+fn a_moving_frame_keeps_what_is_given_but_its_error_and_antialiasing() {
+    let pairs =
+        [("lod", "spt"), ("max_error_px", "0.5"), ("antialias", "4x"), ("min_psnr_db", "40")];
+    let moved = given(&pairs).moving_within(12.0);
+    let expected = given(&[("lod", "spt"), ("budget_ms", "12")]);
+    assert_eq!(moved, expected);
+    let asked = given(&[("budget_ms", "5")]).moving_within(12.0);
+    assert_eq!(asked.budget_ms, Some(5.0));
 }
 
 #[test]
@@ -232,7 +323,7 @@ fn too_few_poses_tell_nothing() {
     let grounds: Vec<Ground> = [2.0, 3.0, 4.0].map(|distance| ground_at(distance, 320)).into();
     let given = given(FULL);
     let points = grounds.iter().map(|ground| Some(point(0, &given, ground))).collect();
-    let rows = vec![MeasuredRow { label: "splats full".into(), given, points }];
+    let rows = vec![MeasuredRow { label: "splats full".into(), given, scale: 1.0, points }];
     let planner = Planner::fit(&Measured { poses: Vec::new(), rows }, &grounds);
     assert!(planner.is_empty());
 }
@@ -287,6 +378,7 @@ proptest! {
         let measured_rows = rows().into_iter().enumerate().map(|(row, (label, given))| MeasuredRow {
             label: label.to_owned(),
             given,
+            scale: 1.0,
             points: points[8 * row..8 * (row + 1)].iter().map(|&(mse, ms)| Some(Point { mse, ms })).collect(),
         });
         let measured = Measured { poses: Vec::new(), rows: measured_rows.collect() };
@@ -301,7 +393,7 @@ proptest! {
         for (budget_ms, min_psnr_db) in goals {
             let goal = Goal { most_ms: budget_ms, least_db: min_psnr_db };
             let asked = Settings::from(Given { budget_ms, min_psnr_db, ..Given::default() });
-            let chosen = planner.choose(&goal, &asked, std::slice::from_ref(&ground), &Paces::default(), |_| true).unwrap();
+            let chosen = planner.choose(&goal, &planner.asked(&asked), std::slice::from_ref(&ground), &Paces::default(), |_| true).unwrap();
             let found = planner.rows[chosen.row].model.predict(&ground, 1.0);
             prop_assert_eq!(chosen.plan.keeps, Some(goal.keeps(&found)));
             if chosen.plan.keeps == Some(false) {

@@ -2,7 +2,7 @@
 
 use serde_json::{Map, Value};
 
-use super::{Budget, Given, MinPsnr, Setting, SettingKind, Settings, declared, kept, words};
+use super::{Budget, Given, MinPsnr, Setting, SettingKind, Settings, Trade, declared, kept, words};
 use crate::plan::planner::Goal;
 
 /// The settings that trade accuracy for time and that a request gives, as bits in the order of their declaration. None without a goal, since nothing is chosen then.
@@ -27,6 +27,12 @@ impl Settings {
     pub fn without_goal(&self) -> Settings {
         let (budget_ms, min_psnr_db) = (Budget::default(), MinPsnr::default());
         Settings { budget_ms, min_psnr_db, pinned: Pinned::default(), ..*self }
+    }
+
+    /// The settings with one goal in place of any other: what may be chosen is the same for all goals.
+    #[must_use]
+    pub fn with_some_goal(&self) -> Settings {
+        Settings { budget_ms: 1.0.into(), min_psnr_db: MinPsnr::default(), ..*self }
     }
 
     pub(super) fn with_pinned<const N: usize>(self, given: [bool; N]) -> Settings {
@@ -104,6 +110,19 @@ impl Settings {
 }
 
 impl Given {
+    /// The settings for a frame of a moving pose with a time budget. It may have any error and antialiasing.
+    #[must_use]
+    pub fn moving_within(&self, ms: f64) -> Given {
+        let own = self.budget_ms.unwrap_or(f64::INFINITY);
+        let given = Given { budget_ms: Some(ms.min(own)), ..*self };
+        let is_other = |setting: &Setting| {
+            let is_number = matches!(setting.kind, SettingKind::Number { .. });
+            let is_open = |trade: Trade| is_number || trade.is_large_variant();
+            setting.name != LEAST_PSNR && !setting.trades.is_some_and(is_open)
+        };
+        kept(&words(&given), &[], is_other)
+    }
+
     /// Names of the settings that are given.
     pub fn names(&self) -> Vec<&'static str> {
         let own = words(self);

@@ -32,6 +32,11 @@ impl Trade {
         Trade { is_main: false, is_large: false, numbers: &[] }
     }
 
+    /// Whether it is a [`Trade::large_variant`].
+    pub(super) fn is_large_variant(&self) -> bool {
+        self.is_large && !self.is_main
+    }
+
     /// [`Trade::variant`] that matters enough for a short comparison.
     pub(super) const fn large_variant() -> Trade {
         Trade { is_main: false, is_large: true, numbers: &[] }

@@ -5,8 +5,16 @@ fn params(query: &str) -> FrameParams {
 }
 
 fn coarse(query: &str, scale: f64, coarseness: f64) -> Wanted {
-    let pace = Pace { scale, coarseness, jpeg_quality: 60 };
-    wanted("s", &params(query), Quality::Moving, pace).unwrap()
+    wanted("s", &params(query), Quality::Moving, pace(scale, coarseness), |_, _| None).unwrap()
+}
+
+fn pace(scale: f64, coarseness: f64) -> Pace {
+    Pace { scale, coarseness, jpeg_quality: 60, link_scale: 0.75, draw_ms: 20.0 }
+}
+
+fn still(query: &str) -> Wanted {
+    let no_plan = |_: &FrameRequest, _| panic!("frames of poses that rest are not planned");
+    wanted("s", &params(query), Quality::Still, pace(0.25, 4.0), no_plan).unwrap()
 }
 
 fn moving(query: &str, scale: f64) -> Wanted {
@@ -53,9 +61,7 @@ fn what_is_as_good_as_asked_is_still() {
 fn moving_frames_have_no_depth_of_field_and_the_still_one_has() {
     let seen = moving("w=64&h=64&format=raw&aperture=0.1&focus_distance=2", 0.25);
     assert_eq!((seen.quality, seen.request.settings.exposures()), (Quality::Moving, 1));
-    let pace = Pace { scale: 0.25, coarseness: 1.0, jpeg_quality: 60 };
-    let still = wanted("s", &params("aperture=0.1&shutter=1"), Quality::Still, pace).unwrap();
-    let settings = still.request.settings;
+    let settings = still("aperture=0.1&shutter=1").request.settings;
     assert_eq!(
         (settings.exposures(), settings.open_share()),
         (32, None),
@@ -75,7 +81,24 @@ fn moving_frames_of_point_trees_are_coarser_and_still_ones_are_not() {
     assert_eq!(error("lod=spt&max_error_px=2", 4.0), Some(4.0), "no more than that");
     assert_eq!(error("lod=spt&max_error_px=9", 4.0), Some(9.0), "unless it was asked for");
     assert_eq!(error("lod=full", 4.0), None);
-    let pace = Pace { scale: 0.25, coarseness: 4.0, jpeg_quality: 60 };
-    let still = wanted("s", &params("lod=spt"), Quality::Still, pace).unwrap();
-    assert_eq!(Made::of(&still.request).accepted_px, Some(1.0));
+    assert_eq!(Made::of(&still("lod=spt").request).accepted_px, Some(1.0));
+}
+
+#[test]
+fn planned_frames_are_asked_for_in_full_size_with_what_the_link_and_the_target_allow() {
+    let mut seen = None;
+    let query = "w=400&h=200&antialias=4x&aperture=0.1&lod=spt&max_error_px=2";
+    let found = wanted("s", &params(query), Quality::Moving, pace(0.25, 4.0), |request, scales| {
+        seen = Some((request.clone(), scales));
+        None
+    });
+    let (request, scales) = seen.unwrap();
+    assert_eq!((request.width, request.height, scales), (400, 200, [0.32, 0.75]));
+    let settings = request.settings;
+    assert_eq!(settings.goal().and_then(|goal| goal.most_ms), Some(20.0));
+    assert_eq!((settings.exposures(), settings.parts()), (1, 1));
+    // Nothing is known: the frame is drawn as one without a plan.
+    let found = found.unwrap();
+    assert_eq!((found.request.width, found.request.settings.goal()), (128, None));
+    assert_eq!(found.scale, 0.32);
 }

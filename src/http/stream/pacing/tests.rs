@@ -68,7 +68,7 @@ impl Bench {
                 draws.front().filter(|draw: &&(f64, f64, f64)| draw.0 <= now_ms)
             {
                 draws.pop_front();
-                pacer.drawn(start + ms(asked), start + ms(done), Some(share));
+                pacer.drawn(start + ms(asked), start + ms(done), Some(share), None);
                 number += 1;
                 if pacer.ping(now) && self.answers_pings {
                     pong_at = link_free.max(now_ms) + self.distance_ms;
@@ -105,7 +105,7 @@ impl Bench {
             }
             seen.most_on_the_way = seen.most_on_the_way.max(draws.len() + flights.len());
         }
-        let Pace { scale, jpeg_quality, coarseness } = pacer.pace();
+        let Pace { scale, jpeg_quality, coarseness, .. } = pacer.pace();
         (seen.scale, seen.jpeg_quality, seen.coarseness) = (scale, jpeg_quality, coarseness);
         seen
     }
@@ -196,7 +196,7 @@ fn a_path_that_became_longer_is_no_slow_link() {
             pacer.ponged(now + distance);
         }
         let share = pacer.pace().scale.powi(2);
-        pacer.drawn(now, now, Some(share));
+        pacer.drawn(now, now, Some(share), None);
         pacer.sent(number, 50_000, now, Some(share));
         pacer.acked(number, now + distance + ms(4.0)).unwrap();
         now += distance + ms(150.0);
@@ -279,7 +279,7 @@ proptest! {
                 _ if pacer.may_ask(0) => {
                     sent += 1;
                     let share = (what == 2).then(|| pacer.pace().scale.powi(2));
-                    pacer.drawn(before, now, share);
+                    pacer.drawn(before, now, share, None);
                     pacer.sent(sent, bytes, now, share);
                 }
                 _ => prop_assert!(!pacer.unacked.is_empty()),
