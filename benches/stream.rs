@@ -3,7 +3,7 @@
 //! what many requests at a time gain, and frames a second beside a remote view of trame.
 //!
 //! `BENCH_STREAM=moving` compares moving frames that the planner chooses with those that are paced by time alone. It measures its scenes first, which takes
-//! some ten minutes, and is not among the parts that run unasked.
+//! some ten minutes, and does not run by default.
 //!
 //! Client and daemon share the machine. The client of a stream does no more than read: it neither decodes nor draws.
 

@@ -46,7 +46,8 @@ pub fn compare(report: &mut Report) -> anyhow::Result<()> {
             ("POINTILLIST_NO_CACHE", OsStr::new("false")),
             ("POINTILLIST_CACHE", folder.as_os_str()),
         ];
-        let start = |kept: &[_]| Daemon::start_with(Path::new("scenes"), &[&file], &[], kept);
+        let args = ["--no-uploads"];
+        let start = |kept: &[_]| Daemon::start_with(Path::new("scenes"), &[&file], &args, kept);
         let daemons = [start(&kept)?, start(&[])?];
         measure(&daemons[0], scene)?;
         let orbit = around(&daemons[0], scene)?;

@@ -160,12 +160,13 @@ fn point(entry: &Entry) -> Option<Point> {
 }
 
 /// The rows that are not beaten at every pose, and the plain ones of each way to draw samples, since requests may ask for that way. Rows of full size
-/// are compared with each other, because frames of poses that rest have no other.
+/// are compared with rows of full size alone, because still frames have no other; smaller rows with all.
 fn unbeaten(looked: &Results, rows: &[Row]) -> Vec<Row> {
     let is_plain = |row: &Row| {
         let settings = Settings::from(row.given);
         let is_plain = settings.accepted_px_of_trees().is_none_or(|px| px == 1.0);
-        row.is_whole() && settings.parts() == 1 && is_plain
+        let is_main_size = row.is_whole() || row.scale == 0.5;
+        is_main_size && settings.parts() == 1 && is_plain
     };
     let is_beaten = |scope: &Scope, row: &Row| {
         let point_of = |row: &Row| scope.entry(&row.label).and_then(point);

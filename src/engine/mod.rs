@@ -368,7 +368,7 @@ impl Engine {
     }
 
     /// Chooses settings and size for a frame of a moving pose from the measurements of its scene. The request has the size of the still frame and a goal. With
-    /// `at_once`, only from what needs no bake. `None` where nothing is known.
+    /// `at_once`, only from what needs no bake. `None` if the scene was not measured, or no measured settings go with those that are given.
     ///
     /// # Errors
     /// Any error of the request.

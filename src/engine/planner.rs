@@ -8,6 +8,7 @@
 
 use std::collections::HashMap;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
@@ -29,7 +30,9 @@ const MOST_SCENES: usize = 64;
 /// Most kinds of requests that are remembered for a scene.
 const MOST_ASKED: usize = 64;
 /// Number of frames after which the note is written with the new pace.
-const WRITE_EVERY: u32 = 64;
+const WRITE_EVERY: u32 = 512;
+/// How long a note is not looked for again after there was none. Another process may write one.
+const ABSENT: Duration = Duration::from_secs(2);
 
 type Key = [u8; 32];
 
@@ -37,6 +40,8 @@ type Key = [u8; 32];
 pub struct Planners {
     cache: Option<BakeCache>,
     known: Mutex<HashMap<Key, Arc<Known>>>,
+    /// Contents without a note, and when it was looked for.
+    absent: Mutex<HashMap<Key, Instant>>,
     /// Held while a note is read, written or removed, until `known` says the same as the note.
     notes: Mutex<()>,
 }
@@ -128,7 +133,12 @@ impl Known {
 
 impl Planners {
     pub fn new(cache: Option<BakeCache>) -> Planners {
-        Planners { cache, known: Mutex::default(), notes: Mutex::default() }
+        Planners {
+            cache,
+            known: Mutex::default(),
+            absent: Mutex::default(),
+            notes: Mutex::default(),
+        }
     }
 
     fn keep(&self, known: Known) -> Arc<Known> {
@@ -152,13 +162,26 @@ impl Planners {
             return Some(known);
         }
         let cache = self.cache.as_ref()?;
+        if self.absent.lock().get(&key).is_some_and(|at| at.elapsed() < ABSENT) {
+            return None;
+        }
         let _notes = self.notes.lock();
         if let Some(known) = in_memory() {
             return Some(known);
         }
-        let note: Note = serde_json::from_slice(&cache.load_note(&key)?).ok()?;
-        let Note { version, measured, grounds, paces } = note;
-        (version == VERSION).then(|| self.keep(Known::fit(key, measured, grounds, paces)))
+        let read = || -> Option<Note> {
+            let note: Note = serde_json::from_slice(&cache.load_note(&key)?).ok()?;
+            (note.version == VERSION).then_some(note)
+        };
+        let Some(Note { measured, grounds, paces, .. }) = read() else {
+            let mut absent = self.absent.lock();
+            if absent.len() >= MOST_SCENES {
+                absent.clear();
+            }
+            absent.insert(key, Instant::now());
+            return None;
+        };
+        Some(self.keep(Known::fit(key, measured, grounds, paces)))
     }
 
     /// The measurements that a scene uses, and whether they are of its present content.

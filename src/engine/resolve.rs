@@ -152,7 +152,7 @@ fn view_of(
 }
 
 /// A frame of a moving pose with the settings and the size that measurements of its scene choose. The request has the size of the still frame, and a
-/// goal. `at_once`: nothing is chosen that needs a bake. `None` where nothing is known.
+/// goal. `at_once`: nothing is chosen that needs a bake. `None` if the scene was not measured, or no measured settings go with those that are given.
 ///
 /// # Errors
 /// Any error of the request; the frame is a part of an image.
@@ -170,8 +170,10 @@ pub fn moving(
             if loaded.is_whole() && loaded.trees().is_some() {
                 return false;
             }
-            let (drawn, _) = with_detail(state, &loaded, one, &view);
-            goal_of(&loaded, &drawn, &view).is_some()
+            view_of(state, &loaded, one).is_ok_and(|view| {
+                let (drawn, _) = with_detail(state, &loaded, one, &view);
+                goal_of(&loaded, &drawn, &view).is_some()
+            })
         };
         check_size(state, one).is_ok() && !(at_once && lacks())
     };

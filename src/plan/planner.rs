@@ -34,7 +34,7 @@ const MOST_FRAMES: f64 = 16.0;
 const MOST_CHANGE: f64 = 1.25;
 /// The setting of the frame before stays while the pose moves, unless another one is more exact by this much: each change is seen.
 const HELD_DB: f64 = 1.0;
-/// How much longer than the time it may be predicted to take.
+/// Factor by which its predicted time may exceed the budget.
 const HELD_TIMES: f64 = 1.15;
 /// Range of a pace.
 const PACES: [f64; 2] = [1.0 / 16.0, 16.0];
@@ -57,6 +57,18 @@ pub struct Moving<'a> {
     pub scales: [f64; 2],
     /// Name of the setting that the frame before was drawn with.
     pub held: Option<&'a str>,
+    /// The still frame that follows: a moving one is not finer.
+    pub still: &'a Settings,
+}
+
+impl Moving<'_> {
+    /// Whether settings at a scale have a smaller error or more antialiasing than the still frame.
+    fn is_finer(&self, settings: &Settings, scale: f64) -> bool {
+        let error = |of: &Settings| of.accepted_px_of_trees().map(f64::from);
+        let has_less_error =
+            error(self.still).zip(error(settings)).is_some_and(|(still, own)| own / scale < still);
+        has_less_error || settings.parts() > self.still.parts()
+    }
 }
 
 /// What a request may be drawn with: the settings of each measured row that goes with those that it gives.
@@ -114,7 +126,7 @@ pub struct Chosen {
 /// How settings were chosen for a time budget or an error.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct PlanReceipt {
-    /// Longest GPU time that was asked for, in milliseconds.
+    /// Longest GPU time that was asked for, in milliseconds. For a moving frame of a stream, the time that the server leaves for it.
     pub budget_ms: Option<f64>,
     /// Least peak signal-to-noise ratio that was asked for, in decibels.
     pub min_psnr_db: Option<f64>,
@@ -143,7 +155,7 @@ pub struct Alternative {
     pub setting: String,
     /// GPU time in milliseconds.
     pub ms: f64,
-    /// GPU time with its margin, which is compared with the budget.
+    /// GPU time with its margin, which is compared with the budget. For a moving frame of a stream, `ms` is compared.
     pub most_ms: f64,
     /// Peak signal-to-noise ratio against the reference, in decibels.
     pub psnr_db: f64,
@@ -273,9 +285,15 @@ impl Planner {
         paces: &Paces,
         allows: impl Fn(&Settings, f64) -> bool,
     ) -> Option<Chosen> {
+        let [least, most] = moving.scales;
+        let scales = asked.rows.iter().map(|(row, _)| self.rows[*row].scale);
+        let smallest = scales.filter(|scale| *scale >= least).fold(f64::INFINITY, f64::min);
+        // No size that was measured is within both bounds.
+        let most = most.max(smallest);
         let fits = |row: &Row, settings: &Settings| {
-            let [least, most] = moving.scales;
-            (least..=most).contains(&row.scale) && allows(settings, row.scale)
+            (least..=most).contains(&row.scale)
+                && !moving.is_finer(settings, row.scale)
+                && allows(settings, row.scale)
         };
         let found = self.predictions(asked, std::slice::from_ref(ground), paces, fits);
         let is_in_time = |at: &usize, times: f64| found[*at].2.ms <= times * moving.most_ms;
@@ -289,19 +307,25 @@ impl Planner {
             held.filter(|at| is_in_time(at, HELD_TIMES) && db(*at) >= db(best) - HELD_DB)
         };
         let (best, because) = match exact.map(|best| (best, held(best))) {
-            Some((_, Some(held))) => {
-                (held, "that of the frame before, and no other in time is much more exact")
-            }
-            Some((best, None)) => (best, "the most exact setting and size in time"),
+            Some((_, Some(held))) => (
+                held,
+                "the settings of the frame before stay, because no others in time are more exact by over 1 dB",
+            ),
+            Some((best, None)) => (best, "the most exact settings and size in time"),
             None => {
                 let ms = |at: &usize| found[*at].2.ms;
                 let fastest = (0..found.len()).min_by(|a, b| ms(a).total_cmp(&ms(b)))?;
-                (fastest, "the fastest setting and size; none is known to be in time")
+                if self.rows[found[fastest].0].scale >= 1.0 {
+                    // It was not measured in smaller sizes, which may be in time.
+                    return None;
+                }
+                (fastest, "the fastest settings and size, because none are known to be in time")
             }
         };
         let goal = Goal { most_ms: Some(moving.most_ms), least_db: None };
         let because = format!("the pose moves: {because}");
-        Some(self.chosen(&goal, asked, paces, &found, (best, exact.is_some(), because)))
+        let keeps = is_in_time(&best, 1.0);
+        Some(self.chosen(&goal, asked, paces, &found, (best, keeps, because)))
     }
 
     /// The settings of each row that is wanted, and the worst of its predicted frames.

@@ -223,8 +223,9 @@ fn frames_of_moving_poses_are_chosen_with_their_size() {
         let settings = given(pairs).moving_within(ms).resolve().unwrap();
         FrameRequest { settings, ..front("cloud", 96, 64) }
     };
+    let still = Settings::default();
     let plan = |request: &FrameRequest, most_ms: f64, at_once: bool| {
-        let moving = Moving { most_ms, scales: [0.1, 1.0], held: None };
+        let moving = Moving { most_ms, scales: [0.1, 1.0], held: None, still: &still };
         studio.engine.plan_moving(request, &moving, at_once).unwrap()
     };
     assert!(plan(&asked(50.0, &[]), 50.0, true).is_none(), "nothing was measured");
@@ -251,7 +252,7 @@ fn frames_of_moving_poses_are_chosen_with_their_size() {
     let (request, _) = plan(&asked(50.0, &[("reconstruct", "points")]), 50.0, true).unwrap();
     assert_eq!((request.width, request.settings.reconstruct), (96, Reconstruct::Points));
     let part = asked(50.0, &[("part_of", "192,128,0,0")]);
-    let moving = Moving { most_ms: 50.0, scales: [0.1, 1.0], held: None };
+    let moving = Moving { most_ms: 50.0, scales: [0.1, 1.0], held: None, still: &still };
     assert!(studio.engine.plan_moving(&part, &moving, true).is_err());
 }
 

@@ -1,8 +1,10 @@
+mod rules;
+
 use glam::{DAffine3, DVec3};
 
 use super::*;
 use crate::bake::pack::Counts;
-use crate::plan::{self, AdapterFacts, Given, Output, SceneFacts, SettingKind};
+use crate::plan::{self, AdapterFacts, Given, Output, SceneFacts, Setting, SettingKind};
 use crate::scene::{Blend, Shading, Splats};
 
 fn drawing(settings: &Settings) -> Drawing {
@@ -28,22 +30,23 @@ fn drawing_of(counts: Counts, settings: &Settings) -> Drawing {
     Drawing::new(settings, reconstruction, (&scene, &adapter), Output::Color, recolor, clip)
 }
 
+/// Some values of a setting.
+fn values(setting: &Setting) -> Vec<String> {
+    match &setting.kind {
+        SettingKind::Choice { choices, .. } => {
+            choices.iter().map(|choice| choice.value.clone()).collect()
+        }
+        SettingKind::Flag => vec!["true".to_owned(), "false".to_owned()],
+        SettingKind::Text { examples, .. } => examples.iter().map(ToString::to_string).collect(),
+        SettingKind::Number { least, most, .. } => vec![least.to_string(), most.to_string()],
+    }
+}
+
 /// A task takes its settings from the first job of a group, whose members have equal drawings.
 #[test]
 fn drawings_of_different_settings_differ() {
     for setting in plan::declared() {
-        let values: Vec<String> = match &setting.kind {
-            SettingKind::Choice { choices, .. } => {
-                choices.iter().map(|choice| choice.value.clone()).collect()
-            }
-            SettingKind::Flag => vec!["true".to_owned(), "false".to_owned()],
-            SettingKind::Text { examples, .. } => {
-                examples.iter().map(ToString::to_string).collect()
-            }
-            SettingKind::Number { least, most, .. } => {
-                vec![least.to_string(), most.to_string()]
-            }
-        };
+        let values = values(setting);
         let mut needed = Given::default();
         for rule in &setting.needs {
             let is_number = [Settings::LENS, Settings::EYE].contains(&rule.of);

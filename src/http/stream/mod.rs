@@ -60,8 +60,8 @@ const QUERY_NAMES: Names = Names { own: &[], without: WITHOUT };
 /// While the pose moves (`"moving": true`, or left out and the last pose less than 200 ms ago) frames are smaller and colours are JPEG where a
 /// format that a browser shows was asked for; below half of each side, those of `lod=spt` are coarser, too (an accepted error of up to four times what was
 /// asked for, and no more than 4 unless more was asked for). So 30 come in a second by what engine and link were measured to do, if a quarter of each
-/// side and that error make it possible: the header says `"quality": "moving"`, how small and how coarse. In a scene that was measured for the planner, it chooses the most exact settings and size
-/// that come in time, and the receipt's `planned` says how. When it rests, or `"moving": false` says so, one frame comes as it was asked for,
+/// side and that error make it possible: the header says `"quality": "moving"`, how small and how coarse. If the scene was measured for the planner, the planner chooses the most exact
+/// settings and size that come in time, and the receipt's `planned` says how. When it rests, or `"moving": false` says so, one frame comes as it was asked for,
 /// `"quality": "still"`; without `format` colours are JPEG. A receipt's `request_id` is the handshake's `X-Request-Id` with the number that
 /// the frame has when nothing fails before it, as in `4bf92f35/12`.
 ///

@@ -11,7 +11,7 @@ use crate::encode::ImageFormat;
 use crate::engine::{FrameRequest, PlannedFrame};
 use crate::http::params::FrameParams;
 use crate::http::problem::Problem;
-use crate::plan::{MaxError, Output};
+use crate::plan::{MaxError, Output, Settings};
 
 /// Shortest side of a moving frame.
 const LEAST_SIDE: u32 = 64;
@@ -65,7 +65,7 @@ pub fn still_request(id: &str, params: &FrameParams) -> Result<FrameRequest, Pro
 }
 
 /// Builds a frame of the given quality. A moving frame that comes out as good as requested counts as still. `plan` chooses size and settings of a
-/// moving frame where that is possible: it gets a request with a goal and the size of the still frame, and the range of scales.
+/// moving frame where that is possible: it gets a request with a goal and the size of the still frame, the settings of the still frame, and the range of scales.
 ///
 /// # Errors
 /// As [`still_request`].
@@ -74,7 +74,7 @@ pub fn wanted(
     params: &FrameParams,
     quality: Quality,
     pace: Pace,
-    plan: impl FnOnce(&FrameRequest, [f64; 2]) -> Option<(FrameRequest, PlannedFrame)>,
+    plan: impl FnOnce(&FrameRequest, &Settings, [f64; 2]) -> Option<(FrameRequest, PlannedFrame)>,
 ) -> Result<Wanted, Problem> {
     let still = still_request(id, params)?;
     if quality == Quality::Still {
@@ -84,7 +84,7 @@ pub fn wanted(
     let settings = params.settings.moving_within(pace.draw_ms);
     let mut whole = still_request(id, &FrameParams { settings, ..params.clone() })?;
     whole.settings = whole.settings.without_blur();
-    let planned = plan(&whole, [least, pace.link_scale.max(least)]);
+    let planned = plan(&whole, &still.settings, [least, pace.link_scale.max(least)]);
     let is_planned = planned.is_some();
     let (mut request, planned) = match planned {
         Some((request, planned)) => (request, Some(planned)),
@@ -108,7 +108,7 @@ pub fn wanted(
     Ok(Wanted { request, quality, scale, planned })
 }
 
-/// A moving frame of a scene of which nothing was measured.
+/// Builds a moving frame for which the planner chose nothing.
 fn unplanned(
     id: &str,
     params: &FrameParams,

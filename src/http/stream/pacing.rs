@@ -256,7 +256,8 @@ impl Pacer {
         if took < TARGET / 2 {
             self.jpeg_quality = (self.jpeg_quality + 2.0).min(BEST_JPEG);
         }
-        self.link_pixels = toward(self.link_pixels, share, took, share);
+        // Planned frames have few sizes: a share between two of them must be able to grow.
+        self.link_pixels = toward(self.link_pixels, share, took, self.link_pixels);
     }
 }
 

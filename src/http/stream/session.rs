@@ -54,6 +54,8 @@ pub struct Session {
     preparing: Option<BakeTicket>,
     /// Setting that the last planned frame was drawn with.
     held: Option<String>,
+    /// Whether moving frames of this pose may be planned: none was refused.
+    may_plan: bool,
     /// The engine accepts nothing before this time.
     retry_at: Option<Instant>,
     heard_at: Instant,
@@ -122,6 +124,7 @@ impl Session {
             baking: None,
             preparing: None,
             held: None,
+            may_plan: true,
             retry_at: None,
             heard_at: Instant::now(),
             allowance: Allowance::new(Instant::now()),
@@ -347,6 +350,7 @@ impl Session {
             Err(problem) => self.tell(&Event::Problem { seq: Some(seq), problem }),
             Ok(()) => {
                 self.settings = params.clone();
+                self.may_plan = true;
                 self.schedule.set(seq, params, moving, Instant::now());
                 Ok(())
             }
@@ -378,24 +382,31 @@ impl Session {
                 return self.tell(&Event::Problem { seq: Some(seq), problem });
             }
         };
-        // A frame that a bake must precede is drawn otherwise meanwhile.
-        let is_chosen_again = planned.is_some() && self.preparing.is_none();
+        let is_planned = planned.is_some();
         let resolved = self.app.engine.resolve_planned(request, planned);
         let resolved = resolved.and_then(|resolution| match resolution {
             Resolution::Ready(frame) => Ok(Some(frame)),
             Resolution::NeedsBake(unbaked) => {
-                let baking = if is_chosen_again { &mut self.preparing } else { &mut self.baking };
-                *baking = Some(unbaked.begin()?);
+                match is_planned {
+                    // While the bake runs, the frame is drawn with settings that need none.
+                    true if self.preparing.is_none() => self.preparing = Some(unbaked.begin()?),
+                    true => self.may_plan = false,
+                    false => self.baking = Some(unbaked.begin()?),
+                }
                 Ok(None)
             }
         });
         let frame = match resolved {
             Ok(Some(frame)) => frame,
-            Ok(None) if is_chosen_again => return self.ask(),
+            Ok(None) if is_planned => return self.ask(),
             Ok(None) => return Ok(()),
+            Err(_) if is_planned => return self.ask_unplanned(),
             Err(error) => return self.failed(Some(seq), error),
         };
         if let Err(problem) = self.app.check_caps(&self.caps, &frame) {
+            if is_planned {
+                return self.ask_unplanned();
+            }
             self.schedule.give_up();
             return self.tell(&Event::Problem { seq: Some(seq), problem });
         }
@@ -410,12 +421,23 @@ impl Session {
         Ok(())
     }
 
+    /// Requests the frame without the planner, whose choice was refused.
+    fn ask_unplanned(&mut self) -> Result<(), End> {
+        self.may_plan = false;
+        self.ask()
+    }
+
     /// Builds a frame of the given quality, planned where the scene was measured.
     fn wanted(&self, params: &FrameParams, quality: Quality) -> Result<Wanted, Problem> {
         let pace = self.pacer.pace();
-        wanted(&self.id, params, quality, pace, |request, scales| {
-            let moving = Moving { most_ms: pace.draw_ms, scales, held: self.held.as_deref() };
-            // What is wrong with the request is told about the frame that is not planned.
+        wanted(&self.id, params, quality, pace, |request, still, scales| {
+            if !self.may_plan {
+                return None;
+            }
+            // The goal is the pace, or a smaller budget of the client.
+            let most_ms = request.settings.goal()?.most_ms?;
+            let moving = Moving { most_ms, scales, held: self.held.as_deref(), still };
+            // The frame that is not planned reports the errors of the request.
             self.app.engine.plan_moving(request, &moving, self.preparing.is_some()).ok()?
         })
     }
@@ -461,7 +483,9 @@ impl Session {
         let share = (asked.quality == Quality::Moving).then_some(asked.scale * asked.scale);
         let planned = frame.receipt.planned.as_ref().and_then(|plan| plan.chosen.as_ref());
         let planned = planned.filter(|_| share.is_some());
-        self.pacer.drawn(asked.at, now, share, planned.map(|chosen| chosen.ms));
+        // A frame that another client had asked for took less time.
+        let predicted_ms = planned.map(|chosen| chosen.ms).filter(|_| !frame.receipt.coalesced);
+        self.pacer.drawn(asked.at, now, share, predicted_ms);
         self.held = planned.map(|chosen| chosen.setting.clone());
         self.frames += 1;
         let camera = &frame.receipt.camera;

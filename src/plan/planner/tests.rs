@@ -5,7 +5,7 @@ use proptest::test_runner::RngSeed;
 use super::*;
 use crate::bake::spacing::Patch;
 use crate::math::{Camera, Lens};
-use crate::plan::Reconstruct;
+use crate::plan::{Antialias, Reconstruct};
 
 const COUNT: f64 = 1e6;
 
@@ -256,7 +256,8 @@ fn moving(
     held: Option<&str>,
 ) -> (String, f64, Option<bool>) {
     let asked = Settings::from(Given::default().moving_within(most_ms));
-    let moving = Moving { most_ms, scales, held };
+    let still = Settings { antialias: Antialias::Parts16, ..Settings::default() };
+    let moving = Moving { most_ms, scales, held, still: &still };
     let (ground, paces) = (ground_at(2.5, 500), Paces::default());
     let chosen = planner
         .choose_moving(&moving, &planner.asked(&asked), &ground, &paces, |_, _| true)
@@ -276,7 +277,8 @@ fn frames_of_moving_poses_are_as_exact_as_the_time_allows_in_any_size() {
     // Each step down in time is one in error, to the fastest at last.
     let mut last = f64::INFINITY;
     for most_ms in [300.0, 30.0, 10.0, 3.0, 1.5] {
-        let moving = Moving { most_ms, scales: any, held: None };
+        let still = Settings { antialias: Antialias::Parts16, ..Settings::default() };
+        let moving = Moving { most_ms, scales: any, held: None, still: &still };
         let asked = Settings::from(Given::default().moving_within(most_ms));
         let (ground, paces) = (ground_at(2.5, 500), Paces::default());
         let plan = planner
@@ -290,6 +292,37 @@ fn frames_of_moving_poses_are_as_exact_as_the_time_allows_in_any_size() {
     let (_, scale, keeps) = moving(&planner, 1e-3, any, None);
     assert_eq!((scale, keeps), (0.25, Some(false)), "nothing is that fast");
     assert_eq!(moving(&planner, 1e-3, [0.5, 1.0], None).1, 0.5, "smaller ones are too small");
+}
+
+#[test]
+fn moving_frames_are_no_finer_than_the_still_one() {
+    let (planner, _) = planner();
+    let chosen = |still: &[(&str, &str)]| {
+        let still = given(still).resolve().unwrap();
+        let moving = Moving { most_ms: 1e4, scales: [0.0, 1.0], held: None, still: &still };
+        let asked = planner.asked(&Settings::from(given(&[("budget_ms", "10000")])));
+        let (ground, paces) = (ground_at(2.5, 500), Paces::default());
+        let chosen = planner.choose_moving(&moving, &asked, &ground, &paces, |_, _| true);
+        chosen.unwrap().plan.chosen.unwrap().setting
+    };
+    assert_eq!(chosen(&[("antialias", "4x")]), "fine");
+    assert_eq!(chosen(&[]), "splats full", "no antialiasing");
+    let trees = |px| {
+        let still = given(&[("lod", "spt"), ("max_error_px", px)]).resolve().unwrap();
+        let moving = Moving { most_ms: 1e4, scales: [0.0, 1.0], held: None, still: &still };
+        let asked = planner.asked(&Settings::from(given(&[
+            ("budget_ms", "10000"),
+            ("lod", "spt"),
+            ("reconstruct", "splats"),
+        ])));
+        let (ground, paces) = (ground_at(2.5, 500), Paces::default());
+        let chosen = planner.choose_moving(&moving, &asked, &ground, &paces, |_, _| true);
+        chosen.unwrap().plan.chosen.unwrap().setting
+    };
+    assert_eq!(
+        (trees("1").as_str(), trees("2").as_str()),
+        ("splats spt 1 px", "splats spt 1 px size=0.5")
+    );
 }
 
 #[test]

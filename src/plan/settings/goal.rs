@@ -110,7 +110,8 @@ impl Settings {
 }
 
 impl Given {
-    /// The settings for a frame of a moving pose with a time budget. It may have any error and antialiasing.
+    /// The settings for a frame of a moving pose: a time budget is the goal, and the given error and antialiasing are left out. A given budget stays if it is
+    /// smaller.
     #[must_use]
     pub fn moving_within(&self, ms: f64) -> Given {
         let own = self.budget_ms.unwrap_or(f64::INFINITY);

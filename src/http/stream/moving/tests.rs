@@ -5,7 +5,7 @@ fn params(query: &str) -> FrameParams {
 }
 
 fn coarse(query: &str, scale: f64, coarseness: f64) -> Wanted {
-    wanted("s", &params(query), Quality::Moving, pace(scale, coarseness), |_, _| None).unwrap()
+    wanted("s", &params(query), Quality::Moving, pace(scale, coarseness), |_, _, _| None).unwrap()
 }
 
 fn pace(scale: f64, coarseness: f64) -> Pace {
@@ -13,7 +13,8 @@ fn pace(scale: f64, coarseness: f64) -> Pace {
 }
 
 fn still(query: &str) -> Wanted {
-    let no_plan = |_: &FrameRequest, _| panic!("frames of poses that rest are not planned");
+    let no_plan =
+        |_: &FrameRequest, _: &Settings, _| panic!("frames of poses that rest are not planned");
     wanted("s", &params(query), Quality::Still, pace(0.25, 4.0), no_plan).unwrap()
 }
 
@@ -88,10 +89,11 @@ fn moving_frames_of_point_trees_are_coarser_and_still_ones_are_not() {
 fn planned_frames_are_asked_for_in_full_size_with_what_the_link_and_the_target_allow() {
     let mut seen = None;
     let query = "w=400&h=200&antialias=4x&aperture=0.1&lod=spt&max_error_px=2";
-    let found = wanted("s", &params(query), Quality::Moving, pace(0.25, 4.0), |request, scales| {
-        seen = Some((request.clone(), scales));
-        None
-    });
+    let found =
+        wanted("s", &params(query), Quality::Moving, pace(0.25, 4.0), |request, _, scales| {
+            seen = Some((request.clone(), scales));
+            None
+        });
     let (request, scales) = seen.unwrap();
     assert_eq!((request.width, request.height, scales), (400, 200, [0.32, 0.75]));
     let settings = request.settings;

@@ -2,15 +2,15 @@
 
 use std::time::Duration;
 
-/// What is left of a frame's weight after each later one.
+/// Decay of the weights: what is left of a frame's weight after each later one.
 const KEPT: f64 = 0.9;
-/// Spread of predicted times, in milliseconds, from which their factor is believed.
+/// Standard deviation of predicted times, in milliseconds, at which the fitted factor is halfway from 1 to that of least squares.
 const TELLING_MS: f64 = 3.0;
 /// Range of the factor.
-const FACTORS: [f64; 2] = [0.25, 8.0];
+const FACTORS: [f64; 2] = [0.5, 8.0];
 /// Least share of the target that frames are predicted to take: the frames of others may take the rest.
 const LEAST: f64 = 0.125;
-/// The same before any frame.
+/// Share of the target before the first frame.
 const FIRST: f64 = 0.5;
 
 /// A line through predicted and taken times of the last frames, by weighted least squares: a fixed time for what surrounds the drawing, and a factor
@@ -43,6 +43,10 @@ impl Stage {
         if self.weight == 0.0 {
             return FIRST * target_ms;
         }
+        rounded(self.fitted_ms(target_ms))
+    }
+
+    fn fitted_ms(&self, target_ms: f64) -> f64 {
         let (predicted, taken) = (self.predicted / self.weight, self.taken / self.weight);
         let variance = (self.squares / self.weight - predicted * predicted).max(0.0);
         let covariance = self.products / self.weight - predicted * taken;
@@ -53,6 +57,11 @@ impl Stage {
         let fixed = (taken - factor * predicted).max(0.0);
         ((target_ms - fixed) / factor).clamp(LEAST * target_ms, target_ms / least)
     }
+}
+
+/// Rounds down to eighths of an octave, so that streams of one scene ask for equal frames.
+fn rounded(ms: f64) -> f64 {
+    ((8.0 * ms.log2()).floor() / 8.0).exp2()
 }
 
 #[cfg(test)]
@@ -80,7 +89,7 @@ mod tests {
         for takes in [|ms: f64| ms + 6.0, |ms: f64| 2.0 * ms, |ms: f64| 0.5 * ms + 3.0] {
             let taken = settled(&fine, takes);
             let [least, most] = [f64::min, f64::max].map(|by| taken.iter().copied().fold(20.0, by));
-            assert!(least >= 20.0 && most <= 34.0, "{taken:?}");
+            assert!(least >= 20.0 && most <= 36.0, "{taken:?}");
         }
         // Few settings to choose from: the best one stays.
         let few = settled(&[2.0, 20.0, 40.0], |ms| ms + 5.0);
