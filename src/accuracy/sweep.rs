@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::plan::{Extent, Given, Settings, trade_offs};
+use crate::plan::{Extent, Given, Settings, scaled_size, trade_offs};
 use crate::scene::random::SplitMix64;
 
 /// A combination of settings that a survey measures.
@@ -35,7 +35,7 @@ impl Row {
 
     /// Size in pixels of the drawn frames for a size that is shown.
     pub fn drawn_size(&self, shown: [u32; 2]) -> [u32; 2] {
-        shown.map(|side| ((f64::from(side) * self.scale).round() as u32).clamp(1, side.max(1)))
+        scaled_size(shown, self.scale)
     }
 
     /// Whether the row draws full detail at full size without antialiasing, and nothing else.
@@ -82,7 +82,7 @@ pub fn planned_rows() -> Vec<Row> {
     found
 }
 
-/// Rows at each of these scales, but those that are `auto` or antialiased.
+/// The rows at each of these scales, without those that are `auto` or antialiased.
 fn smaller(rows: &[Row], scales: &[(f64, &str)]) -> Vec<Row> {
     let is_plain = |row: &&Row| {
         let settings = Settings::from(row.given);

@@ -83,7 +83,7 @@ pub use info::{
 };
 pub use latest_slot::LatestSlot;
 pub use observe::Observer;
-pub use planner::PlannedFrame;
+pub use planner::{MovingFrame, PlannedFrame};
 pub use point_tree_cache::BakeSource;
 pub use priming::PrimeConfig;
 pub use queue::{Class, Client};
@@ -355,7 +355,7 @@ impl Engine {
         self.resolve_planned(request, None)
     }
 
-    /// Does the work of [`Engine::resolve`] for a request of [`Engine::plan_moving`].
+    /// Does the work of [`Engine::resolve`]. `planned` says how [`Engine::plan_moving`] chose the settings.
     ///
     /// # Errors
     /// Any error of the request.
@@ -377,7 +377,7 @@ impl Engine {
         request: &FrameRequest,
         moving: &Moving<'_>,
         at_once: bool,
-    ) -> Result<Option<(FrameRequest, PlannedFrame)>, EngineError> {
+    ) -> Result<Option<MovingFrame>, EngineError> {
         resolve::moving(self.state(), request, moving, at_once)
     }
 

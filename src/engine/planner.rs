@@ -20,8 +20,10 @@ use super::state::EngineState;
 use crate::bake::cache::BakeCache;
 use crate::bake::pack::GeometryKind;
 use crate::math::View;
-use crate::plan::planner::{Asked, Chosen, Ground, Measured, Moving, Paces, PlanReceipt, Planner};
-use crate::plan::{Output, Settings};
+use crate::plan::planner::{
+    Asked, Chosen, Goal, Ground, Measured, Moving, Paces, PlanReceipt, Planner,
+};
+use crate::plan::{Output, Settings, scaled_size};
 
 /// Version of a note.
 const VERSION: u32 = 3;
@@ -54,7 +56,7 @@ pub struct Known {
     grounds: Vec<Ground>,
     planner: Planner,
     pace: Mutex<Pace>,
-    /// What requests may be drawn with. To find it takes milliseconds, and a stream asks for each frame.
+    /// Answers of [`Planner::asked`]: each takes milliseconds to find, and a stream asks for each frame.
     asked: Mutex<HashMap<Settings, Arc<Asked>>>,
 }
 
@@ -292,10 +294,8 @@ pub fn planned(
     let Some(goal) = request.settings.goal() else { return (request, None) };
     let asked = request.settings;
     let with = |settings| FrameRequest { settings, ..request.clone() };
-    let unplanned = |because: &str| {
-        let receipt = goal.unplanned(because.to_owned());
-        (with(asked.without_goal()), Some(PlannedFrame { receipt, from: None }))
-    };
+    let unplanned =
+        |because: &str| (with(asked.without_goal()), Some(PlannedFrame::unplanned(&goal, because)));
     let found = state.planners.find_for(state, loaded);
     let Some((known, is_own)) = found.filter(|(known, _)| !known.planner.is_empty()) else {
         return unplanned(
@@ -316,7 +316,15 @@ pub fn planned(
     (with(settings), Some(PlannedFrame::new(known, is_own, chosen, request.output)))
 }
 
-/// A frame of a moving pose as measurements have it drawn: the most exact settings and size in time. `None` where the scene was not measured, or nothing
+/// Settings and size of a frame of a moving pose.
+pub struct MovingFrame {
+    pub settings: Settings,
+    pub size: [u32; 2],
+    /// How they were chosen.
+    pub planned: PlannedFrame,
+}
+
+/// The most exact settings and size that keep the time of the request's goal. `None` where the scene was not measured, or nothing
 /// that was measured goes with the request, which has the size of the still frame. `fits` tells which requests can be drawn.
 pub fn planned_moving(
     state: &EngineState,
@@ -325,23 +333,29 @@ pub fn planned_moving(
     view: &View,
     moving: &Moving<'_>,
     fits: impl Fn(&FrameRequest) -> bool,
-) -> Option<(FrameRequest, PlannedFrame)> {
+) -> Option<MovingFrame> {
+    let goal = request.settings.goal()?;
     let (known, is_own) = state.planners.find_for(state, loaded)?;
     let paces = known.pace.lock().paces.clone();
-    let at = |settings: Settings, scale: f64| {
-        let side = |whole: u32| ((f64::from(whole) * scale).round() as u32).clamp(1, whole);
-        let (width, height) = (side(request.width), side(request.height));
-        FrameRequest { settings, width, height, ..request.clone() }
+    let size = |scale| scaled_size([request.width, request.height], scale);
+    let fits = |settings: &Settings, scale| {
+        let [width, height] = size(scale);
+        fits(&FrameRequest { settings: *settings, width, height, ..request.clone() })
     };
-    let fits = |settings: &Settings, scale| fits(&at(*settings, scale));
     let ground = ground(loaded, view);
     let asked = known.asked(&request.settings);
-    let chosen = known.planner.choose_moving(moving, &asked, &ground, &paces, fits)?;
-    let frame = at(chosen.settings, chosen.scale);
-    Some((frame, PlannedFrame::new(known, is_own, chosen, request.output)))
+    let chosen = known.planner.choose_moving(&goal, moving, &asked, &ground, &paces, fits)?;
+    let (settings, size) = (chosen.settings, size(chosen.scale));
+    let planned = PlannedFrame::new(known, is_own, chosen, request.output);
+    Some(MovingFrame { settings, size, planned })
 }
 
 impl PlannedFrame {
+    /// A frame with a goal for which nothing could be chosen.
+    pub fn unplanned(goal: &Goal, because: &str) -> PlannedFrame {
+        PlannedFrame { receipt: goal.unplanned(because.to_owned()), from: None }
+    }
+
     fn new(known: Arc<Known>, is_own: bool, chosen: Chosen, output: Output) -> PlannedFrame {
         let is_as_measured = is_own && chosen.is_as_measured && output == Output::Color;
         let from = is_as_measured.then_some((known, chosen.row, chosen.measured_pace_ms));
@@ -353,7 +367,7 @@ impl PlannedFrame {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plan::planner::{Goal, MeasuredPose};
+    use crate::plan::planner::MeasuredPose;
 
     fn known(width: u32) -> Known {
         let pose = MeasuredPose {

@@ -8,7 +8,7 @@ use super::choices::{choose_for, grounds, magnification, with_detail};
 use super::entity_tag::{Tagged, entity_tag};
 use super::exposures::{Exposed, exposed, from_eye};
 use super::loaded::Loaded;
-use super::planner::{self, PlannedFrame};
+use super::planner::{self, MovingFrame, PlannedFrame};
 use super::queue::cost::CostKey;
 use super::receipt::CameraReceipt;
 use super::resolved::{Drawing, ResolvedFrame};
@@ -151,7 +151,7 @@ fn view_of(
     Ok(check(state, loaded, &FrameRequest { settings, ..request.clone() })?.view)
 }
 
-/// A frame of a moving pose with the settings and the size that measurements of its scene choose. The request has the size of the still frame, and a
+/// Settings and size of a frame of a moving pose, from the measurements of its scene. The request has the size of the still frame, and a
 /// goal. `at_once`: nothing is chosen that needs a bake. `None` if the scene was not measured, or no measured settings go with those that are given.
 ///
 /// # Errors
@@ -161,7 +161,7 @@ pub fn moving(
     request: &FrameRequest,
     moving: &Moving<'_>,
     at_once: bool,
-) -> Result<Option<(FrameRequest, PlannedFrame)>, EngineError> {
+) -> Result<Option<MovingFrame>, EngineError> {
     let loaded = state.loaded(&request.scene)?;
     check_goal(&request.settings)?;
     let view = view_of(state, &loaded, request)?;

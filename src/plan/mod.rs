@@ -315,6 +315,11 @@ impl Facts<'_> {
     }
 }
 
+/// Width and height in pixels of a frame that is drawn at a scale of the size that is shown: at least 1, and no larger than shown.
+pub fn scaled_size(shown: [u32; 2], scale: f64) -> [u32; 2] {
+    shown.map(|side| ((f64::from(side) * scale).round() as u32).clamp(1, side.max(1)))
+}
+
 /// Plans a frame.
 pub fn plan(scene: &SceneFacts, frame: &FrameFacts, adapter: &AdapterFacts) -> FramePlan {
     let facts = Facts { scene, frame, adapter };

@@ -51,8 +51,6 @@ pub struct Goal {
 /// What the next frame of a moving pose may be.
 #[derive(Clone, Copy, Debug)]
 pub struct Moving<'a> {
-    /// Longest predicted GPU time, in milliseconds.
-    pub most_ms: f64,
     /// Least and largest width and height, as shares of those that the frame is shown at.
     pub scales: [f64; 2],
     /// Name of the setting that the frame before was drawn with.
@@ -251,7 +249,7 @@ impl Planner {
         self.rows.is_empty()
     }
 
-    /// Finds what a request with a goal may be drawn with. The same for all goals and views.
+    /// Finds what a request with a goal may be drawn with. The answer is the same for all goals and views.
     pub fn asked(&self, settings: &Settings) -> Asked {
         let rows = self.rows.iter().enumerate();
         let rows = rows
@@ -275,16 +273,18 @@ impl Planner {
         Some(self.chosen(goal, asked, paces, &found, (best, keeps, because)))
     }
 
-    /// Chooses settings and size for a frame of a moving pose: the most exact ones that are predicted to be drawn in time. Margins do not count,
-    /// since a late frame does no harm. `allows` tells which settings can be drawn, at which scale. `None` if none can.
+    /// Chooses settings and size for a frame of a moving pose: the most exact ones that are predicted to keep the time of the goal. Margins do not count,
+    /// since a late frame does no harm. `allows` tells which settings can be drawn, at which scale. `None` if none can, or without a time.
     pub fn choose_moving(
         &self,
+        goal: &Goal,
         moving: &Moving<'_>,
         asked: &Asked,
         ground: &Ground,
         paces: &Paces,
         allows: impl Fn(&Settings, f64) -> bool,
     ) -> Option<Chosen> {
+        let most_ms = goal.most_ms?;
         let [least, most] = moving.scales;
         let scales = asked.rows.iter().map(|(row, _)| self.rows[*row].scale);
         let smallest = scales.filter(|scale| *scale >= least).fold(f64::INFINITY, f64::min);
@@ -296,7 +296,7 @@ impl Planner {
                 && allows(settings, row.scale)
         };
         let found = self.predictions(asked, std::slice::from_ref(ground), paces, fits);
-        let is_in_time = |at: &usize, times: f64| found[*at].2.ms <= times * moving.most_ms;
+        let is_in_time = |at: &usize, times: f64| found[*at].2.ms <= times * most_ms;
         let db = |at: usize| found[at].2.psnr_db;
         // Of equal ones the first: plain settings come first.
         let in_time = (0..found.len()).rev().filter(|at| is_in_time(at, 1.0));
@@ -322,10 +322,9 @@ impl Planner {
                 (fastest, "the fastest settings and size, because none are known to be in time")
             }
         };
-        let goal = Goal { most_ms: Some(moving.most_ms), least_db: None };
         let because = format!("the pose moves: {because}");
         let keeps = is_in_time(&best, 1.0);
-        Some(self.chosen(&goal, asked, paces, &found, (best, keeps, because)))
+        Some(self.chosen(goal, asked, paces, &found, (best, keeps, because)))
     }
 
     /// The settings of each row that is wanted, and the worst of its predicted frames.

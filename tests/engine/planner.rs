@@ -4,7 +4,9 @@ use std::collections::BTreeSet;
 
 use glam::{DAffine3, DVec3};
 use pointillist::bake::cache::BakeCache;
-use pointillist::engine::{Client, FrameRequest, NodePatch, Pose, Receipt, Resolution};
+use pointillist::engine::{
+    Client, FrameRequest, MovingFrame, NodePatch, Pose, Receipt, Resolution,
+};
 use pointillist::math::{Camera, Lens};
 use pointillist::plan::planner::{Measured, MeasuredPose, MeasuredRow, Moving, Point};
 use pointillist::plan::{Given, Lod, Output, Reconstruct, Settings};
@@ -219,25 +221,27 @@ fn frames_of_moving_poses_are_chosen_with_their_size() {
         MeasuredRow { label, scale: 0.5, points: vec![point; 8], ..row }
     };
     let halves = [half(1, 28.0, 10.0), half(2, 27.0, 20.0)];
-    let asked = |ms: f64, pairs: &[(&str, &str)]| {
-        let settings = given(pairs).moving_within(ms).resolve().unwrap();
+    let asked = |pairs: &[(&str, &str)]| {
+        let settings = given(pairs).moving_within(50.0).resolve().unwrap();
         FrameRequest { settings, ..front("cloud", 96, 64) }
     };
     let still = Settings::default();
-    let plan = |request: &FrameRequest, most_ms: f64, at_once: bool| {
-        let moving = Moving { most_ms, scales: [0.1, 1.0], held: None, still: &still };
-        studio.engine.plan_moving(request, &moving, at_once).unwrap()
+    let moving = Moving { scales: [0.1, 1.0], held: None, still: &still };
+    let plan = |request: &FrameRequest, at_once: bool| {
+        let MovingFrame { settings, size: [width, height], planned } =
+            studio.engine.plan_moving(request, &moving, at_once).unwrap()?;
+        Some((FrameRequest { settings, width, height, ..request.clone() }, planned))
     };
-    assert!(plan(&asked(50.0, &[]), 50.0, true).is_none(), "nothing was measured");
+    assert!(plan(&asked(&[]), true).is_none(), "nothing was measured");
     known.rows.extend(halves);
     studio.engine.learn("cloud", known).unwrap();
-    let (trees, _) = plan(&asked(50.0, &[]), 50.0, false).unwrap();
+    let (trees, _) = plan(&asked(&[]), false).unwrap();
     assert_eq!((trees.width, trees.height, trees.settings.lod), (48, 32, Lod::Spt));
     // Without its trees, the next best is drawn.
-    let (request, _) = plan(&asked(50.0, &[]), 50.0, true).unwrap();
+    let (request, _) = plan(&asked(&[]), true).unwrap();
     assert_eq!((request.width, request.settings.lod), (48, Lod::Full));
     studio.engine.bake(&trees).unwrap();
-    let (request, planned) = plan(&asked(50.0, &[]), 50.0, true).unwrap();
+    let (request, planned) = plan(&asked(&[]), true).unwrap();
     assert_eq!((request.width, request.settings.lod), (48, Lod::Spt));
     let Resolution::Ready(frame) = studio.engine.resolve_planned(request, Some(planned)).unwrap()
     else {
@@ -249,10 +253,9 @@ fn frames_of_moving_poses_are_chosen_with_their_size() {
     assert_eq!(plan_of.chosen.unwrap().setting, "trees size=1/2");
     assert_eq!((plan_of.keeps, plan_of.budget_ms), (Some(true), Some(50.0)));
     // What is given stays; a part of an image has the size that it has.
-    let (request, _) = plan(&asked(50.0, &[("reconstruct", "points")]), 50.0, true).unwrap();
+    let (request, _) = plan(&asked(&[("reconstruct", "points")]), true).unwrap();
     assert_eq!((request.width, request.settings.reconstruct), (96, Reconstruct::Points));
-    let part = asked(50.0, &[("part_of", "192,128,0,0")]);
-    let moving = Moving { most_ms: 50.0, scales: [0.1, 1.0], held: None, still: &still };
+    let part = asked(&[("part_of", "192,128,0,0")]);
     assert!(studio.engine.plan_moving(&part, &moving, true).is_err());
 }
 

@@ -8,10 +8,10 @@ use std::time::Instant;
 use super::pacing::Pace;
 use super::wire::Quality;
 use crate::encode::ImageFormat;
-use crate::engine::{FrameRequest, PlannedFrame};
+use crate::engine::{FrameRequest, MovingFrame, PlannedFrame};
 use crate::http::params::FrameParams;
 use crate::http::problem::Problem;
-use crate::plan::{MaxError, Output, Settings};
+use crate::plan::{MaxError, Output, Settings, scaled_size};
 
 /// Shortest side of a moving frame.
 const LEAST_SIDE: u32 = 64;
@@ -64,8 +64,12 @@ pub fn still_request(id: &str, params: &FrameParams) -> Result<FrameRequest, Pro
     Ok(request.with_antialias_decided().with_blur_decided())
 }
 
-/// Builds a frame of the given quality. A moving frame that comes out as good as requested counts as still. `plan` chooses size and settings of a
-/// moving frame where that is possible: it gets a request with a goal and the size of the still frame, the settings of the still frame, and the range of scales.
+/// Chooses settings and size of a moving frame where that is possible, from a request with a goal and the size of the still frame, the settings of the still
+/// frame, and the range of scales.
+pub type Plan<'a> = &'a dyn Fn(&FrameRequest, &Settings, [f64; 2]) -> Option<MovingFrame>;
+
+/// Builds a frame of the given quality. A moving frame that comes out as good as requested counts as still. Without a plan, moving frames are
+/// paced by time alone.
 ///
 /// # Errors
 /// As [`still_request`].
@@ -74,21 +78,29 @@ pub fn wanted(
     params: &FrameParams,
     quality: Quality,
     pace: Pace,
-    plan: impl FnOnce(&FrameRequest, &Settings, [f64; 2]) -> Option<(FrameRequest, PlannedFrame)>,
+    plan: Option<Plan<'_>>,
 ) -> Result<Wanted, Problem> {
     let still = still_request(id, params)?;
     if quality == Quality::Still {
         return Ok(Wanted { request: still, quality, scale: 1.0, planned: None });
     }
     let least = (f64::from(LEAST_SIDE) / f64::from(still.width.min(still.height))).min(1.0);
-    let settings = params.settings.moving_within(pace.draw_ms);
-    let mut whole = still_request(id, &FrameParams { settings, ..params.clone() })?;
-    whole.settings = whole.settings.without_blur();
-    let planned = plan(&whole, &still.settings, [least, pace.link_scale.max(least)]);
-    let is_planned = planned.is_some();
-    let (mut request, planned) = match planned {
-        Some((request, planned)) => (request, Some(planned)),
-        None => (unplanned(id, params, &still, pace.scale.max(least), pace.coarseness)?, None),
+    let chosen = match plan {
+        Some(plan) => {
+            let settings = params.settings.moving_within(pace.draw_ms);
+            let mut whole = still_request(id, &FrameParams { settings, ..params.clone() })?;
+            whole.settings = whole.settings.without_blur();
+            plan(&whole, &still.settings, [least, pace.link_scale.max(least)])
+        }
+        None => None,
+    };
+    let is_planned = chosen.is_some();
+    let (mut request, planned) = match chosen {
+        Some(MovingFrame { settings, size, planned }) => {
+            let request = sized(id, params, size)?;
+            (FrameRequest { settings, ..request }, Some(planned))
+        }
+        None => (paced(id, params, &still, pace.scale.max(least), pace.coarseness)?, None),
     };
     // A client that asked for a format that browsers show can show a JPEG. For other formats this is unknown.
     let shown = matches!(request.format, ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::Webp);
@@ -108,8 +120,13 @@ pub fn wanted(
     Ok(Wanted { request, quality, scale, planned })
 }
 
+/// The still frame in another size.
+fn sized(id: &str, params: &FrameParams, [w, h]: [u32; 2]) -> Result<FrameRequest, Problem> {
+    still_request(id, &FrameParams { w: Some(w), h: Some(h), ..params.clone() })
+}
+
 /// Builds a moving frame for which the planner chose nothing.
-fn unplanned(
+fn paced(
     id: &str,
     params: &FrameParams,
     still: &FrameRequest,
@@ -118,10 +135,7 @@ fn unplanned(
 ) -> Result<FrameRequest, Problem> {
     // A part of a larger image has its size from the place that it takes there.
     let scale = if still.settings.is_part() { 1.0 } else { scale.min(1.0) };
-    let side = |full: u32| ((f64::from(full) * scale).round() as u32).clamp(1, full);
-    let smaller =
-        FrameParams { w: Some(side(still.width)), h: Some(side(still.height)), ..params.clone() };
-    let mut request = still_request(id, &smaller)?;
+    let mut request = sized(id, params, scaled_size([still.width, still.height], scale))?;
     // The choice is made for the still frame that follows, so that points do not turn into splats when the pose stops.
     let frame = still.settings.still_frame(still.height);
     request.settings.stand_in_for(frame, moving_error(frame.max_error, coarseness));

@@ -10,7 +10,7 @@ use futures::stream::SplitStream;
 use tokio::sync::watch;
 
 use super::allowance::Allowance;
-use super::moving::{Made, Wanted, still_request, wanted};
+use super::moving::{Made, Plan, Wanted, still_request, wanted};
 use super::pacing::Pacer;
 use super::places::Place;
 use super::pose_schedule::PoseSchedule;
@@ -429,17 +429,14 @@ impl Session {
 
     /// Builds a frame of the given quality, planned where the scene was measured.
     fn wanted(&self, params: &FrameParams, quality: Quality) -> Result<Wanted, Problem> {
-        let pace = self.pacer.pace();
-        wanted(&self.id, params, quality, pace, |request, still, scales| {
-            if !self.may_plan {
-                return None;
-            }
-            // The goal is the pace, or a smaller budget of the client.
-            let most_ms = request.settings.goal()?.most_ms?;
-            let moving = Moving { most_ms, scales, held: self.held.as_deref(), still };
+        let plan: Plan<'_> = &|request, still, scales| {
+            let moving = Moving { scales, held: self.held.as_deref(), still };
             // The frame that is not planned reports the errors of the request.
             self.app.engine.plan_moving(request, &moving, self.preparing.is_some()).ok()?
-        })
+        };
+        let is_measured = || matches!(self.app.engine.planner_size(&self.id), Ok(Some(_)));
+        let may_plan = quality == Quality::Moving && self.may_plan && is_measured();
+        wanted(&self.id, params, quality, self.pacer.pace(), may_plan.then_some(plan))
     }
 
     /// Returns whether a request would replace one that still waits.

@@ -5,7 +5,7 @@ use proptest::test_runner::RngSeed;
 use super::*;
 use crate::bake::spacing::Patch;
 use crate::math::{Camera, Lens};
-use crate::plan::{Antialias, Reconstruct};
+use crate::plan::Reconstruct;
 
 const COUNT: f64 = 1e6;
 
@@ -43,7 +43,7 @@ fn point(row: usize, given: &Given, ground: &Ground) -> Point {
     point_at(row, given, 1.0, ground)
 }
 
-/// The same of a frame that is drawn at a scale.
+/// Time and error of a frame that is drawn at a scale.
 fn point_at(row: usize, given: &Given, scale: f64, ground: &Ground) -> Point {
     let effort = effort(given, scale);
     let load = ground.load(effort.error_px);
@@ -248,6 +248,31 @@ fn settings_that_cannot_be_drawn_are_not_chosen() {
     );
 }
 
+/// Chooses for a moving pose from settings that are given beside the time.
+fn choose_moving(
+    planner: &Planner,
+    pairs: &[(&str, &str)],
+    most_ms: f64,
+    (scales, held): ([f64; 2], Option<&str>),
+    still: &[(&str, &str)],
+) -> Chosen {
+    let asked = Settings::from(given(pairs).moving_within(most_ms));
+    let still = given(still).resolve().unwrap();
+    let moving = Moving { scales, held, still: &still };
+    let goal = Goal { most_ms: Some(most_ms), least_db: None };
+    let asked = planner.asked(&asked);
+    let (ground, paces) = (ground_at(2.5, 500), Paces::default());
+    let chosen = planner.choose_moving(&goal, &moving, &asked, &ground, &paces, |_, _| true);
+    let chosen = chosen.unwrap();
+    assert!(chosen.settings.goal().is_none() && chosen.plan.budget_ms == Some(most_ms));
+    chosen
+}
+
+/// Any size.
+const ANY: [f64; 2] = [0.0, 1.0];
+/// A still frame that is as fine as any.
+const FINEST: &[(&str, &str)] = &[("antialias", "16x")];
+
 /// The setting, its scale, and whether it is in time.
 fn moving(
     planner: &Planner,
@@ -255,41 +280,26 @@ fn moving(
     scales: [f64; 2],
     held: Option<&str>,
 ) -> (String, f64, Option<bool>) {
-    let asked = Settings::from(Given::default().moving_within(most_ms));
-    let still = Settings { antialias: Antialias::Parts16, ..Settings::default() };
-    let moving = Moving { most_ms, scales, held, still: &still };
-    let (ground, paces) = (ground_at(2.5, 500), Paces::default());
-    let chosen = planner
-        .choose_moving(&moving, &planner.asked(&asked), &ground, &paces, |_, _| true)
-        .unwrap();
-    assert!(chosen.settings.goal().is_none() && chosen.plan.budget_ms == Some(most_ms));
+    let chosen = choose_moving(planner, &[], most_ms, (scales, held), FINEST);
     (chosen.plan.chosen.unwrap().setting, chosen.scale, chosen.plan.keeps)
 }
 
 #[test]
 fn frames_of_moving_poses_are_as_exact_as_the_time_allows_in_any_size() {
     let (planner, _) = planner();
-    let any = [0.0, 1.0];
-    let whole = moving(&planner, 1e4, any, None);
+    let whole = moving(&planner, 1e4, ANY, None);
     assert_eq!(whole, ("fine".into(), 1.0, Some(true)));
     let link = moving(&planner, 1e4, [0.0, 0.5], None);
     assert_eq!(link, ("fine size=0.5".into(), 0.5, Some(true)), "the link allows no more");
     // Each step down in time is one in error, to the fastest at last.
     let mut last = f64::INFINITY;
     for most_ms in [300.0, 30.0, 10.0, 3.0, 1.5] {
-        let still = Settings { antialias: Antialias::Parts16, ..Settings::default() };
-        let moving = Moving { most_ms, scales: any, held: None, still: &still };
-        let asked = Settings::from(Given::default().moving_within(most_ms));
-        let (ground, paces) = (ground_at(2.5, 500), Paces::default());
-        let plan = planner
-            .choose_moving(&moving, &planner.asked(&asked), &ground, &paces, |_, _| true)
-            .unwrap()
-            .plan;
+        let plan = choose_moving(&planner, &[], most_ms, (ANY, None), FINEST).plan;
         let chosen = plan.chosen.unwrap();
         assert!(chosen.ms <= most_ms && chosen.psnr_db <= last, "{most_ms}: {chosen:?}");
         last = chosen.psnr_db;
     }
-    let (_, scale, keeps) = moving(&planner, 1e-3, any, None);
+    let (_, scale, keeps) = moving(&planner, 1e-3, ANY, None);
     assert_eq!((scale, keeps), (0.25, Some(false)), "nothing is that fast");
     assert_eq!(moving(&planner, 1e-3, [0.5, 1.0], None).1, 0.5, "smaller ones are too small");
 }
@@ -297,27 +307,15 @@ fn frames_of_moving_poses_are_as_exact_as_the_time_allows_in_any_size() {
 #[test]
 fn moving_frames_are_no_finer_than_the_still_one() {
     let (planner, _) = planner();
-    let chosen = |still: &[(&str, &str)]| {
-        let still = given(still).resolve().unwrap();
-        let moving = Moving { most_ms: 1e4, scales: [0.0, 1.0], held: None, still: &still };
-        let asked = planner.asked(&Settings::from(given(&[("budget_ms", "10000")])));
-        let (ground, paces) = (ground_at(2.5, 500), Paces::default());
-        let chosen = planner.choose_moving(&moving, &asked, &ground, &paces, |_, _| true);
-        chosen.unwrap().plan.chosen.unwrap().setting
+    let chosen = |pairs: &[(&str, &str)], still: &[(&str, &str)]| {
+        let chosen = choose_moving(&planner, pairs, 1e4, (ANY, None), still);
+        chosen.plan.chosen.unwrap().setting
     };
-    assert_eq!(chosen(&[("antialias", "4x")]), "fine");
-    assert_eq!(chosen(&[]), "splats full", "no antialiasing");
+    assert_eq!(chosen(&[], &[("antialias", "4x")]), "fine");
+    assert_eq!(chosen(&[], &[]), "splats full", "no antialiasing");
     let trees = |px| {
-        let still = given(&[("lod", "spt"), ("max_error_px", px)]).resolve().unwrap();
-        let moving = Moving { most_ms: 1e4, scales: [0.0, 1.0], held: None, still: &still };
-        let asked = planner.asked(&Settings::from(given(&[
-            ("budget_ms", "10000"),
-            ("lod", "spt"),
-            ("reconstruct", "splats"),
-        ])));
-        let (ground, paces) = (ground_at(2.5, 500), Paces::default());
-        let chosen = planner.choose_moving(&moving, &asked, &ground, &paces, |_, _| true);
-        chosen.unwrap().plan.chosen.unwrap().setting
+        let given = [("lod", "spt"), ("reconstruct", "splats")];
+        chosen(&given, &[("lod", "spt"), ("max_error_px", px)])
     };
     assert_eq!(
         (trees("1").as_str(), trees("2").as_str()),
@@ -328,10 +326,9 @@ fn moving_frames_are_no_finer_than_the_still_one() {
 #[test]
 fn the_setting_of_the_frame_before_stays_if_little_is_gained() {
     let (planner, _) = planner();
-    let any = [0.0, 1.0];
-    let of = |held| moving(&planner, 1e4, any, held).0;
+    let of = |held| moving(&planner, 1e4, ANY, held).0;
     assert_eq!(of(Some("splats full")), "fine", "8 dB are much");
-    let exact = |most_ms: f64, held| moving(&planner, most_ms, any, held);
+    let exact = |most_ms: f64, held| moving(&planner, most_ms, ANY, held);
     // A time at which the best setting just fits, and one a little shorter.
     let ms = planner.rows[0].model.predict(&ground_at(2.5, 500), 1.0).ms;
     let fits = exact(1.01 * ms, None);

@@ -1,11 +1,14 @@
+use std::cell::RefCell;
+
 use super::*;
+use crate::engine::Pose;
 
 fn params(query: &str) -> FrameParams {
     FrameParams::from_query(Some(query)).unwrap()
 }
 
 fn coarse(query: &str, scale: f64, coarseness: f64) -> Wanted {
-    wanted("s", &params(query), Quality::Moving, pace(scale, coarseness), |_, _, _| None).unwrap()
+    wanted("s", &params(query), Quality::Moving, pace(scale, coarseness), None).unwrap()
 }
 
 fn pace(scale: f64, coarseness: f64) -> Pace {
@@ -13,9 +16,8 @@ fn pace(scale: f64, coarseness: f64) -> Pace {
 }
 
 fn still(query: &str) -> Wanted {
-    let no_plan =
-        |_: &FrameRequest, _: &Settings, _| panic!("frames of poses that rest are not planned");
-    wanted("s", &params(query), Quality::Still, pace(0.25, 4.0), no_plan).unwrap()
+    let no_plan: Plan<'_> = &|_, _, _| panic!("frames of poses that rest are not planned");
+    wanted("s", &params(query), Quality::Still, pace(0.25, 4.0), Some(no_plan)).unwrap()
 }
 
 fn moving(query: &str, scale: f64) -> Wanted {
@@ -87,14 +89,14 @@ fn moving_frames_of_point_trees_are_coarser_and_still_ones_are_not() {
 
 #[test]
 fn planned_frames_are_asked_for_in_full_size_with_what_the_link_and_the_target_allow() {
-    let mut seen = None;
+    let seen = RefCell::new(None);
     let query = "w=400&h=200&antialias=4x&aperture=0.1&lod=spt&max_error_px=2";
-    let found =
-        wanted("s", &params(query), Quality::Moving, pace(0.25, 4.0), |request, _, scales| {
-            seen = Some((request.clone(), scales));
-            None
-        });
-    let (request, scales) = seen.unwrap();
+    let plan: Plan<'_> = &|request, _, scales| {
+        seen.replace(Some((request.clone(), scales)));
+        None
+    };
+    let found = wanted("s", &params(query), Quality::Moving, pace(0.25, 4.0), Some(plan));
+    let (request, scales) = seen.take().unwrap();
     assert_eq!((request.width, request.height, scales), (400, 200, [0.32, 0.75]));
     let settings = request.settings;
     assert_eq!(settings.goal().and_then(|goal| goal.most_ms), Some(20.0));
@@ -103,4 +105,26 @@ fn planned_frames_are_asked_for_in_full_size_with_what_the_link_and_the_target_a
     let found = found.unwrap();
     assert_eq!((found.request.width, found.request.settings.goal()), (128, None));
     assert_eq!(found.scale, 0.32);
+}
+
+#[test]
+fn planned_frames_show_the_view_of_the_still_one_in_another_size() {
+    let plan: Plan<'_> = &|request, _, _| {
+        let settings = request.settings.without_goal();
+        let planned = PlannedFrame::unplanned(&request.settings.goal()?, "a test");
+        Some(MovingFrame { settings, size: [200, 100], planned })
+    };
+    let matrices =
+        "view=1,0,0,0,0,1,0,0,0,0,1,0,0,0,-4,1&proj=1,0,0,0,0,2,0,0,0,0,-1,-1,0,0,-0.2,0";
+    for query in ["", "eye=0,0,4&target=0,0,0&", matrices] {
+        let query = format!("w=400&h=200&format=raw&{query}");
+        let found =
+            wanted("s", &params(&query), Quality::Moving, pace(1.0, 1.0), Some(plan)).unwrap();
+        let request = found.request;
+        assert_eq!((request.width, request.height, found.scale), (200, 100, 0.5));
+        assert_eq!((found.quality, request.settings.goal()), (Quality::Moving, None));
+        if let Pose::View(view) = request.pose {
+            assert_eq!((view.width, view.height), (200, 100));
+        }
+    }
 }
