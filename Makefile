@@ -1,4 +1,4 @@
-# `make run` starts the daemon, `make test` runs everything that CI runs. Both need make and cargo; the
+# `make run` starts the server, `make test` runs everything that CI runs. Both need make and cargo; the
 # rest is found or installed (scripts/setup.sh).
 
 PORT  ?= 8080
@@ -19,7 +19,7 @@ setup: ## find or install a linker and a Vulkan driver
 build: setup ## the release binary, target/release/pointillist
 	cargo build --release --locked $$(scripts/features.sh)
 
-run: build ## the daemon on 127.0.0.1:8080 with the scenes in scenes/ (PORT=, HOST=, ROOT=, ARGS=)
+run: build ## the server on 127.0.0.1:8080 with the scenes in scenes/ (PORT=, HOST=, ROOT=, ARGS=)
 	@scripts/demo-scenes.sh target/release/pointillist
 	@scripts/run.sh target/release/pointillist $(ROOT) --listen $(HOST):$(PORT) $(ARGS)
 
@@ -34,7 +34,7 @@ check: setup ## formatting, lints, unit tests and shaders: what to run before ea
 fuzz: setup ## every reader of bytes from outside in libFuzzer, 1,000,000 executions each; needs a C++ compiler (TARGETS=, FUZZ_RUNS=)
 	@scripts/fuzz.sh
 
-fuzz-http: setup ## 10,000 requests made from openapi.yaml, to a daemon of its own (CASES=)
+fuzz-http: setup ## 10,000 requests made from openapi.yaml, to a server of its own (CASES=)
 	cargo build --locked $$(scripts/features.sh)
 	@scripts/fuzz-http.sh "$$(scripts/setup-python.sh)" --cases $(or $(CASES),10000)
 

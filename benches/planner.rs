@@ -1,13 +1,15 @@
-//! Does the planner keep its promises? Frames at random poses and sizes are asked for with a time budget or a least PSNR. The truth is the
-//! reference that the planner measures against; times are GPU times. A promise counts where the receipt gives one.
+//! Does the planner keep its promises? At each random pose and size, one frame is asked for, with a time budget or a least PSNR. It is the first frame of that
+//! view, so that the planner has learned nothing from it before. The truth is the reference that the planner measures against; times are GPU times. A promise
+//! counts where the receipt gives one.
 //!
-//! At some poses every measured setting is drawn: the fastest that keeps the PSNR, and the most exact that keeps the budget, tell what the planner could have
-//! chosen. Poses come from another generator than those that the planner has measured.
+//! At some poses every measured setting is drawn afterwards: the fastest that keeps the PSNR, and the most exact that keeps the budget, tell what the planner could
+//! have chosen. Its own choice is judged by the same measurement. Poses come from another generator than those that the planner has measured.
 //!
 //! `PLANNER_SCENES=a.json,b.ply` takes other scenes, `PLANNER_POSES=n` other numbers of poses a scene.
 
 mod common;
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 
@@ -18,7 +20,7 @@ use common::{files, median, pick, quantile};
 use glam::DVec3;
 use pointillist::accuracy::metrics;
 use pointillist::accuracy::planning::{LEAST_SIZE, Planning};
-use pointillist::accuracy::sweep::rows;
+use pointillist::accuracy::sweep::{Row, rows};
 use pointillist::accuracy::truth::{opaque, quads};
 use pointillist::bake::cache::BakeCache;
 use pointillist::encode::ImageFormat;
@@ -29,12 +31,25 @@ use pointillist::plan::{Extent, Given, Settings};
 use pointillist::scene::random::SplitMix64;
 
 const SCENES: [&str; 5] = ["town", "relief", "textured", "plaza", "glasshouse"];
-const BUDGETS_MS: [f64; 3] = [15.0, 40.0, 120.0];
-const LEAST_DB: [f64; 3] = [28.0, 34.0, 40.0];
+const GOALS: [Goal; 6] = [
+    Goal::BudgetMs(15.0),
+    Goal::BudgetMs(40.0),
+    Goal::BudgetMs(120.0),
+    Goal::LeastDb(28.0),
+    Goal::LeastDb(34.0),
+    Goal::LeastDb(40.0),
+];
 /// Every so many poses, all settings are drawn.
 const ALL_EVERY: usize = 6;
-/// Frames that the time of a setting is the median of, after one that may compile shaders.
+/// Frames that the time of a setting is the median of, after a first one.
 const TIMED: usize = 3;
+
+/// What a frame is asked for with.
+#[derive(Clone, Copy)]
+enum Goal {
+    BudgetMs(f64),
+    LeastDb(f64),
+}
 
 /// What was found of all frames with a goal.
 #[derive(Default)]
@@ -78,28 +93,67 @@ fn pose(view: &Camera, random: &mut SplitMix64) -> Camera {
     Camera { eye, target, up, lens: view.lens }
 }
 
-fn goal(budget_ms: Option<f64>, min_psnr_db: Option<f64>) -> Settings {
-    Settings::from(Given { budget_ms, min_psnr_db, ..Given::default() })
+impl Goal {
+    fn settings(self) -> Settings {
+        let (budget_ms, min_psnr_db) = match self {
+            Goal::BudgetMs(budget) => (Some(budget), None),
+            Goal::LeastDb(least) => (None, Some(least)),
+        };
+        Settings::from(Given { budget_ms, min_psnr_db, ..Given::default() })
+    }
+
+    /// What the chosen setting is worse by than the best that keeps the goal: decibels for a budget, a ratio of times for a PSNR. `None` where no setting
+    /// keeps it.
+    fn lost(self, chosen: &str, all: &BTreeMap<String, (f64, f64)>) -> Option<f64> {
+        let &(chosen_db, chosen_ms) = all.get(chosen)?;
+        let found = match self {
+            Goal::BudgetMs(budget) => {
+                let fits = all.values().filter(|(_, ms)| *ms <= budget).map(|(db, _)| *db);
+                fits.reduce(f64::max)? - chosen_db
+            }
+            Goal::LeastDb(least) => {
+                let keeps = all.values().filter(|(db, _)| *db >= least).map(|(_, ms)| *ms);
+                chosen_ms / keeps.reduce(f64::min)?
+            }
+        };
+        Some(found)
+    }
 }
 
-/// The frame's PSNR, its median time and its last receipt.
-fn measured(
-    drawing: &Drawing,
+/// A frame's PSNR against the reference, its GPU time and its receipt.
+struct Drawn {
+    db: f64,
+    ms: f64,
+    receipt: Receipt,
+}
+
+/// Frames of one pose and size, which are compared with their reference.
+struct Shot<'a> {
+    drawing: &'a Drawing,
     camera: Camera,
     size: [u32; 2],
-    settings: Settings,
-    truth: &[[u8; 4]],
-) -> anyhow::Result<(f64, f64, Receipt)> {
-    let draw = || drawing.image(camera, size, settings.complete(), ImageFormat::Raw);
-    let frame = draw()?;
-    let color: Vec<[u8; 4]> = quads(&frame.bytes).into_iter().map(opaque).collect();
-    let db = metrics::psnr_db(metrics::mse(truth, &color)?).unwrap_or(99.0);
-    let (mut times, mut last) = (Vec::new(), frame);
-    for _ in 0..pick(TIMED, 1) {
-        last = draw()?;
-        times.push(gpu_ms(&last.receipt)?);
+    truth: &'a [[u8; 4]],
+}
+
+impl Shot<'_> {
+    fn draw(&self, settings: Settings) -> anyhow::Result<Drawn> {
+        let frame =
+            self.drawing.image(self.camera, self.size, settings.complete(), ImageFormat::Raw)?;
+        let color: Vec<[u8; 4]> = quads(&frame.bytes).into_iter().map(opaque).collect();
+        let db = metrics::psnr_db(metrics::mse(self.truth, &color)?).unwrap_or(99.0);
+        Ok(Drawn { db, ms: gpu_ms(&frame.receipt)?, receipt: frame.receipt.clone() })
     }
-    Ok((db, median(&times), last.receipt.clone()))
+
+    /// The PSNR and the median time of every measured setting, by its name.
+    fn all(&self) -> anyhow::Result<BTreeMap<String, (f64, f64)>> {
+        let each = |row: Row| {
+            let db = self.draw(row.given.into())?.db;
+            let times: anyhow::Result<Vec<f64>> =
+                (0..pick(TIMED, 1)).map(|_| Ok(self.draw(row.given.into())?.ms)).collect();
+            Ok((row.label, (db, median(&times?))))
+        };
+        rows(Extent::Planned).into_iter().map(each).collect()
+    }
 }
 
 fn main() -> anyhow::Result<()> {
@@ -139,40 +193,30 @@ fn main() -> anyhow::Result<()> {
             let width =
                 (planning.least_size[0] as f64 * (1.0 + 2.0 * random.unit())).round() as u32;
             let size = [width, width * 9 / 16];
+            let goal = GOALS[random.index(GOALS.len())];
             let survey = planning.survey(size, Vec::new(), Vec::new());
             let truth = survey.truth(camera)?;
             if truth.covered_pixels() == 0 {
                 continue;
             }
-            let all: Vec<(f64, f64)> = if number % ALL_EVERY == 0 {
-                let draw = |row: pointillist::accuracy::sweep::Row| {
-                    let (db, ms, _) =
-                        measured(&drawing, camera, size, row.given.into(), &truth.color)?;
-                    Ok((db, ms))
-                };
-                rows(Extent::Planned).into_iter().map(draw).collect::<anyhow::Result<_>>()?
-            } else {
-                Vec::new()
+            let shot = Shot { drawing: &drawing, camera, size, truth: &truth.color };
+            let first = shot.draw(goal.settings())?;
+            let plan = first.receipt.planned.context("a frame with a goal has a plan")?;
+            let own = match goal {
+                Goal::BudgetMs(budget) => {
+                    let off = 100.0 * (first.ms / budget - 1.0);
+                    own_budgets.see(plan.keeps, first.ms <= budget, off);
+                    &mut own_budgets
+                }
+                Goal::LeastDb(least) => {
+                    own_errors.see(plan.keeps, first.db >= least, least - first.db);
+                    &mut own_errors
+                }
             };
-            for budget in BUDGETS_MS {
-                let settings = goal(Some(budget), None);
-                let (db, ms, receipt) = measured(&drawing, camera, size, settings, &truth.color)?;
-                let plan = receipt.planned.context("a frame with a goal has a plan")?;
-                own_budgets.see(plan.keeps, ms <= budget, 100.0 * (ms / budget - 1.0));
-                own_budgets.predicted.extend(plan.chosen.map(|chosen| chosen.ms / ms));
-                let fits = all.iter().filter(|(_, ms)| *ms <= budget).map(|(db, _)| *db);
-                let best = fits.fold(f64::NAN, f64::max);
-                own_budgets.lost.extend(Some(best - db).filter(|lost| lost.is_finite()));
-            }
-            for least_db in LEAST_DB {
-                let settings = goal(None, Some(least_db));
-                let (db, ms, receipt) = measured(&drawing, camera, size, settings, &truth.color)?;
-                let plan = receipt.planned.context("a frame with a goal has a plan")?;
-                own_errors.see(plan.keeps, db >= least_db, least_db - db);
-                own_errors.predicted.extend(plan.chosen.map(|chosen| chosen.ms / ms));
-                let keeps = all.iter().filter(|(db, _)| *db >= least_db).map(|(_, ms)| *ms);
-                let best = keeps.fold(f64::NAN, f64::min);
-                own_errors.lost.extend(Some(ms / best).filter(|lost| lost.is_finite()));
+            let Some(chosen) = plan.chosen else { continue };
+            own.predicted.push(chosen.ms / first.ms);
+            if number % ALL_EVERY == 0 {
+                own.lost.extend(goal.lost(&chosen.setting, &shot.all()?));
             }
         }
         for (what, own, sum) in

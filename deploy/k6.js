@@ -1,4 +1,4 @@
-// Load for a Pointillist daemon with k6 (https://k6.io), for those whose load tests are in it already:
+// Load for a Pointillist server with k6 (https://k6.io), for those whose load tests are in it already:
 //
 //   k6 run -e URL=http://127.0.0.1:8080 -e SCENE=town -e RATE=40 -e DURATION=30s deploy/k6.js
 //

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Starts the daemon with every scene there is: the committed ones, those that scripts/demo-scenes.sh made
+# Starts the server with every scene there is: the committed ones, those that scripts/demo-scenes.sh made
 # and those that scripts/data.sh brought. Arguments are passed on to `pointillist serve`.
 #
 #   scripts/run.sh BINARY ROOT [OPTIONS…]
@@ -7,7 +7,7 @@ set -euo pipefail
 
 binary=$1 root=$2
 shift 2
-# The scene that is loaded first: the viewer opens with it, and the command that the daemon prints fetches it.
+# The scene that is loaded first: the viewer opens with it, and the command that the server prints fetches it.
 first=town
 scenes=()
 [ -f "$root/$first.json" ] && scenes+=(--scene "$first.json")

@@ -13,7 +13,7 @@
 //!
 //! With a message broker, [`farm`] has the frames of such films drawn by worker processes.
 //!
-//! From outside, [`load`] asks a daemon for more and more frames until it no longer keeps up.
+//! From outside, [`load`] asks a server for more and more frames until it no longer keeps up.
 //!
 //! [`capacity`] simulates clusters and loads that are larger than the machines at hand.
 //!

@@ -113,7 +113,7 @@ fn load(measured: &Measured) -> Section {
             "{CLIENTS} clients: {STREAMS} streams of 30 poses/s, {BURSTS} load tests of 64 frames at once about every 20 s, all others look at each frame for a minute; {SCENES} scenes by Zipf's law, 640 × 480 on an H200"
         ),
         header: vec![
-            "daemons",
+            "servers",
             "balancer",
             "frames/s",
             "wait p50, ms",
@@ -122,7 +122,7 @@ fn load(measured: &Measured) -> Section {
             "busiest",
             "Jain's index of streams of a scene",
             "refused",
-            "idle connections, MiB a daemon",
+            "idle connections, MiB a server",
         ],
         rows,
     }
@@ -150,9 +150,9 @@ fn loss(_: &Measured) -> Section {
         }
     }
     Section {
-        title: "One daemon is killed; waits of frames that come within 10 s after that".to_owned(),
+        title: "One server is killed; waits of frames that come within 10 s after that".to_owned(),
         header: vec![
-            "daemons",
+            "servers",
             "balancer",
             "clients moved",
             "moved: p50, ms",
@@ -194,7 +194,7 @@ fn hot(_: &Measured) -> Section {
         }
     }
     Section {
-        title: "Clients of one scene (the plaza, 2.65 ms a frame) on one daemon".to_owned(),
+        title: "Clients of one scene (the plaza, 2.65 ms a frame) on one server".to_owned(),
         header: vec!["clients", "number", "frames/s", "load", "wait p50, ms", "p99, ms", "refused"],
         rows,
     }

@@ -93,7 +93,7 @@ pub fn sections(measured: &Measured) -> Vec<Section> {
                     "share of workers ÷ frame time",
                     "broker",
                     "store",
-                    "daemon",
+                    "server",
                     "busiest film",
                     "Jain's index of films",
                 ],
@@ -111,7 +111,7 @@ pub fn sections(measured: &Measured) -> Vec<Section> {
             "broker",
             "store's operations",
             "store's link",
-            "daemon",
+            "server",
         ],
         rows: limits,
     };
@@ -220,7 +220,7 @@ fn beside(measured: &Measured) -> Section {
     }
     Section {
         title: format!(
-            "Comparison with a measurement: a film of {} on {}. Daemon, broker and workers share the cores that other programs left. The simulation has the CPU time of a frame with one worker",
+            "Comparison with a measurement: a film of {} on {}. Server, broker and workers share the cores that other programs left. The simulation has the CPU time of a frame with one worker",
             measured.film_size,
             measured.machine()
         ),

@@ -11,7 +11,7 @@
 //!                           engine    frame
 //! ```
 //! [`truth`] holds the frame that errors are measured against, [`mod@difference`] the errors of one image, [`temporal`] what flickers from frame to frame
-//! of a camera path, and [`service`] the surveys of a daemon.
+//! of a camera path, and [`service`] the surveys of a server.
 //! [`cost`] compares the reports of several scenes: what one more decibel costs in each.
 //! [`planning`] measures many settings at many poses for the planner ([`crate::plan::planner`]).
 pub mod cost;

@@ -1,4 +1,4 @@
-//! Surveys of a daemon's scenes: one at a time, in the background, with results that outlive the process.
+//! Surveys of a server's scenes: one at a time, in the background, with results that outlive the process.
 //!
 //! ```text
 //! begin ─► running ─┬─► done: the results are kept, in memory and in the folder
@@ -148,7 +148,7 @@ struct Shared {
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
-/// All surveys of a daemon; clones share them.
+/// All surveys of a server; clones share them.
 #[derive(Clone)]
 pub struct Surveys(Arc<Shared>);
 

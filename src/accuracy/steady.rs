@@ -1,7 +1,8 @@
 //! Whether frames stay steady: random views of scenes with every setting, each drawn twice, the second time from a pose a thousandth of a pixel aside:
 //! `pointillist accuracy --stability --scenes`.
 //!
-//! Depths must be numbers. A small step must leave the colours of nearly all pixels as they are: only at outlines may a pixel show something else.
+//! Depths must be numbers, and normals unit vectors. A small step must leave the colours of nearly all pixels as they are: only where an edge crosses the
+//! centre of a pixel may it show something else (`pair`).
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,20 +11,20 @@ use glam::{DQuat, DVec3};
 use serde::Serialize;
 
 use super::sweep::Row;
-use super::temporal::SEEN;
 use crate::encode::ImageFormat;
 use crate::engine::{Engine, EngineError, FrameRequest, FrameTicket, Pose, SceneInfo};
 use crate::math::{Camera, Lens};
 use crate::plan::{Output, Settings};
 use crate::scene::random::SplitMix64;
 
+mod pair;
+
+use pair::{Judgement, Pair};
+
 /// Size of the frames in pixels.
 pub const SIZE: [u32; 2] = [96, 72];
 /// The step between a pose and its neighbour, in pixels.
 const STEP_PX: f64 = 1e-3;
-/// Pixels that may change: those across whose middle the step moves an outline, or a sample of one pixel across their edge. With a sample in every pixel, some
-/// 2.8 thousandths of them do, since a sample leaves one pixel and enters another; more where rows of samples lie along rows of pixels.
-const MOST_CHANGED: usize = (SIZE[0] * SIZE[1]) as usize / 100;
 /// Poses with the same settings that are drawn together.
 pub const AT_ONCE: u32 = 16;
 /// Broken views of a scene that are listed.
@@ -42,12 +43,11 @@ pub struct Steadiness {
     pub settings: usize,
     /// Views that the engine refused, by the reason.
     pub refused: BTreeMap<String, u64>,
-    /// Frames with a depth that is NaN, negative or −∞.
+    /// Frames with a depth that is NaN, negative or −∞, or with a normal that is not of unit length.
     pub not_finite: u64,
-    /// Pixels that changed in the worst view, and the largest number that may.
-    pub worst_changed: usize,
-    pub bound: usize,
-    /// Views with more.
+    /// The view in which the largest share of the pixels that may change did.
+    pub worst: Changed,
+    /// Views in which more pixels changed than may, or a pixel away from every edge.
     pub unsteady: u64,
     /// Settings whose views broke a bound, and how many did.
     pub broken_with: BTreeMap<String, u64>,
@@ -56,12 +56,26 @@ pub struct Steadiness {
     pub holds: bool,
 }
 
+/// Pixels that differ visibly between a frame and the one beside it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Changed {
+    pub changed: usize,
+    /// Number of them that the edges of the frame explain.
+    pub allowed: usize,
+}
+
 /// A view whose frame broke a bound, and the view beside it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Broken {
     pub settings: String,
-    pub changed: usize,
-    pub is_finite: bool,
+    #[serde(flatten)]
+    pub pixels: Changed,
+    /// Changed pixels that have no edge beside them.
+    pub away: usize,
+    /// Depths that are NaN, negative or −∞.
+    pub odd_depths: usize,
+    /// Normals that are not of unit length.
+    pub odd_normals: usize,
     pub eye: [f64; 3],
     pub target: [f64; 3],
     pub up: [f64; 3],
@@ -102,7 +116,6 @@ impl Sweep<'_> {
         let mut found = Steadiness {
             scene: scene.name.clone(),
             settings: groups.min(self.rows.len()),
-            bound: MOST_CHANGED,
             ..Steadiness::default()
         };
         let mut group = first;
@@ -141,17 +154,22 @@ impl Sweep<'_> {
             deadline: None,
         };
         let moved: Vec<Camera> = cameras.iter().map(|camera| beside(camera, random)).collect();
-        let tickets: Vec<[Result<FrameTicket, EngineError>; 3]> = cameras
+        let tickets: Vec<[Result<FrameTicket, EngineError>; 4]> = cameras
             .iter()
             .zip(&moved)
             .map(|(camera, moved)| {
-                [(camera, Output::Color), (moved, Output::Color), (camera, Output::Depth)]
-                    .map(|(camera, output)| self.engine.submit(request(*camera, output)))
+                [
+                    (camera, Output::Color),
+                    (moved, Output::Color),
+                    (camera, Output::Depth),
+                    (camera, Output::Normal),
+                ]
+                .map(|(camera, output)| self.engine.submit(request(*camera, output)))
             })
             .collect();
         for ((camera, moved), tickets) in cameras.iter().zip(&moved).zip(tickets) {
             let frames = tickets.map(|ticket| ticket.and_then(FrameTicket::wait));
-            let [Ok(first), Ok(second), Ok(depth)] = frames else {
+            let [Ok(first), Ok(second), Ok(depth), Ok(normal)] = frames else {
                 let error = frames.into_iter().find_map(Result::err);
                 let error = error.unwrap_or(EngineError::Internal("no frame".to_owned()));
                 let is_refused = matches!(
@@ -164,25 +182,38 @@ impl Sweep<'_> {
                 *found.refused.entry(error.to_string()).or_default() += 1;
                 continue;
             };
-            let bytes = [&first.bytes, &second.bytes, &depth.bytes].map(|bytes| &bytes[..]);
-            found.add(&row.label, [camera, moved], bytes);
+            let [first, second, depth, normal] =
+                [&first, &second, &depth, &normal].map(|frame| frame.bytes.as_chunks().0);
+            let views = [camera, moved].map(|camera| camera.view(SIZE[0], SIZE[1]));
+            let [Ok(view), Ok(beside)] = &views else {
+                return Err(EngineError::Internal("a pose that was drawn has no view".to_owned()));
+            };
+            let pair = Pair {
+                colors: [first, second],
+                depths: depth,
+                normals: normal,
+                views: [view, beside],
+                parts: settings.parts(),
+                error_px: settings.accepted_px_of_trees().map_or(0, |error| error.ceil() as usize),
+            };
+            found.add(&row.label, [camera, moved], pair.judge());
         }
         Ok(())
     }
 }
 
 impl Steadiness {
-    /// Judges a view and the one beside it, by the bytes of both images and of the first one's depths.
-    fn add(&mut self, settings: &str, views: [&Camera; 2], [first, second, depth]: [&[u8]; 3]) {
+    /// Counts a view and the one beside it.
+    fn add(&mut self, settings: &str, views: [&Camera; 2], judgement: Judgement) {
+        let Judgement { changed, allowed, away, odd_depths, odd_normals } = judgement;
+        let pixels = Changed { changed, allowed };
         self.views += 1;
-        let is_depth = |bytes: &[u8; 4]| f32::from_le_bytes(*bytes) >= 0.0;
-        let is_finite = depth.as_chunks().0.iter().all(is_depth);
-        let changed = changed(first, second);
-        self.not_finite += u64::from(!is_finite);
-        self.worst_changed = self.worst_changed.max(changed);
-        let is_steady = changed <= self.bound;
-        self.unsteady += u64::from(!is_steady);
-        if is_finite && is_steady {
+        self.not_finite += u64::from(!judgement.is_finite());
+        self.unsteady += u64::from(!judgement.is_steady());
+        if pixels.share() > self.worst.share() {
+            self.worst = pixels;
+        }
+        if judgement.is_finite() && judgement.is_steady() {
             return;
         }
         *self.broken_with.entry(settings.to_owned()).or_default() += 1;
@@ -190,8 +221,10 @@ impl Steadiness {
             let [camera, beside] = views;
             self.broken.push(Broken {
                 settings: settings.to_owned(),
-                changed,
-                is_finite,
+                pixels,
+                away,
+                odd_depths,
+                odd_normals,
                 eye: camera.eye.into(),
                 target: camera.target.into(),
                 up: camera.up.into(),
@@ -204,12 +237,11 @@ impl Steadiness {
     }
 }
 
-/// Pixels of two images, four bytes each, that differ visibly: a channel by more than [`SEEN`].
-fn changed(a: &[u8], b: &[u8]) -> usize {
-    let (a, b) = (a.as_chunks::<4>().0, b.as_chunks::<4>().0);
-    let differ =
-        |(a, b): &(&[u8; 4], &[u8; 4])| a.iter().zip(b.iter()).any(|(a, b)| a.abs_diff(*b) > SEEN);
-    a.iter().zip(b).filter(differ).count()
+impl Changed {
+    /// Changed pixels over those that may change.
+    fn share(&self) -> f64 {
+        self.changed as f64 / self.allowed.max(1) as f64
+    }
 }
 
 fn direction(random: &mut SplitMix64) -> DVec3 {
@@ -264,19 +296,7 @@ fn beside(camera: &Camera, random: &mut SplitMix64) -> Camera {
 mod tests {
     use super::*;
 
-    #[test]
-    fn changed_pixels_are_counted() {
-        let a = [10u8, 20, 30, 255, 0, 0, 0, 255, 100, 100, 100, 255];
-        let mut b = a;
-        assert_eq!(changed(&a, &b), 0);
-        b[1] += SEEN;
-        assert_eq!(changed(&a, &b), 0);
-        b[1] += 1;
-        b[11] = 0;
-        assert_eq!(changed(&a, &b), 2);
-    }
-
-    /// A depth that is no number and colours that jump break a bound, each by itself; what is as it should be breaks none.
+    /// A view counts as unsteady and as not finite each by itself, and is listed once; the worst view is the one farthest beyond what is allowed.
     #[test]
     fn frames_that_break_a_bound_are_found() {
         let camera = Camera {
@@ -285,23 +305,27 @@ mod tests {
             up: DVec3::Y,
             lens: Lens::Perspective { fov_deg: 40.0 },
         };
-        let pixels = 4 * MOST_CHANGED;
-        let depths = |odd: f32| [1.5, f32::INFINITY, odd].repeat(pixels / 3);
-        let bytes = |depths: Vec<f32>| depths.into_iter().flat_map(f32::to_le_bytes).collect();
-        let judge = |odd: f32, jumps: usize| {
-            let first = vec![9; 4 * pixels];
-            let mut second = first.clone();
-            second[..4 * jumps].fill(9 + SEEN + 1);
-            let depth: Vec<u8> = bytes(depths(odd));
-            let mut found = Steadiness { bound: MOST_CHANGED, ..Steadiness::default() };
-            found.add("splats", [&camera, &camera], [&first, &second, &depth]);
-            (found.not_finite, found.unsteady, found.broken.len())
+        let mut found = Steadiness::default();
+        let judged = |changed, away, odd_depths, odd_normals| Judgement {
+            changed,
+            allowed: 10,
+            away,
+            odd_depths,
+            odd_normals,
         };
-        assert_eq!(judge(0.5, MOST_CHANGED), (0, 0, 0));
-        assert_eq!(judge(0.5, MOST_CHANGED + 1), (0, 1, 1));
-        for odd in [f32::NAN, -1.0, f32::NEG_INFINITY] {
-            assert_eq!(judge(odd, 0), (1, 0, 1));
+        for judgement in [
+            judged(10, 0, 0, 0),
+            judged(11, 0, 0, 0),
+            judged(1, 1, 0, 0),
+            judged(0, 0, 1, 0),
+            judged(0, 0, 0, 1),
+            judged(30, 0, 1, 0),
+        ] {
+            found.add("splats", [&camera, &camera], judgement);
         }
+        assert_eq!((found.views, found.unsteady, found.not_finite), (6, 3, 3));
+        assert_eq!((found.worst.changed, found.worst.allowed), (30, 10));
+        assert_eq!((found.broken.len(), found.broken_with["splats"]), (5, 5));
     }
 
     /// The step moves the middle of the image by a thousandth of a pixel, whatever the lens.

@@ -1,4 +1,4 @@
-//! `pointillist load`: measures throughput and latency of a daemon, and finds the rate at which it saturates.
+//! `pointillist load`: measures throughput and latency of a server, and finds the rate at which it saturates.
 
 use std::io::IsTerminal;
 use std::path::PathBuf;
@@ -39,7 +39,7 @@ A streamed pose's latency counts from when the pose was due to the first frame t
 A generator on the daemon's own machine takes CPU time from the daemon."
 )]
 pub struct LoadArgs {
-    /// The daemon's address: http://HOST:PORT
+    /// The server's address: http://HOST:PORT
     #[arg(value_name = "URL")]
     url: String,
     /// Folder for load.json and load.svg; created if missing
@@ -62,7 +62,7 @@ pub struct LoadArgs {
     /// Seconds after which a request counts as timed out
     #[arg(long, value_name = "S", default_value_t = 10.0, value_parser = seconds)]
     timeout: f64,
-    /// Highest 99th percentile of latency at which the daemon counts as keeping up, in milliseconds
+    /// Highest 99th percentile of latency at which the server counts as keeping up, in milliseconds
     #[arg(long, value_name = "MS", default_value_t = 1000.0, value_parser = positive)]
     max_p99_ms: f64,
     /// Number of streaming clients beside the requests; each sends the poses of a path and acknowledges frames
@@ -74,7 +74,7 @@ pub struct LoadArgs {
     /// Seed of the random arrival times and poses
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// API key to send to the daemon
+    /// API key to send to the server
     #[arg(long, env = "POINTILLIST_KEY", hide_env_values = true, value_name = "KEY")]
     key: Option<String>,
     #[command(flatten)]
@@ -95,7 +95,7 @@ struct RateArgs {
     /// Rates to measure one after the other, as in 10,20,40
     #[arg(long, value_name = "R,R,…", value_delimiter = ',', value_parser = rate, conflicts_with = "saturate")]
     rates: Vec<f64>,
-    /// Raise the rate until the daemon no longer keeps up, then narrow down the rate at which this begins (the knee)
+    /// Raise the rate until the server no longer keeps up, then narrow down the rate at which this begins (the knee)
     #[arg(long)]
     saturate: bool,
     /// First rate that --saturate tries
@@ -115,7 +115,7 @@ struct RateArgs {
     max_steps: u32,
 }
 
-/// Parameters of the requested frames. The daemon checks all but the pose.
+/// Parameters of the requested frames. The server checks all but the pose.
 #[derive(Args, Clone, Debug)]
 struct FrameArgs {
     /// Id of the scene [default: the first that is ready]
@@ -152,7 +152,7 @@ fn rate(text: &str) -> Result<f64, String> {
     number(text, 0.01, MOST_PER_S, "requests per second, 0.01 to 200000")
 }
 
-/// Parses a rate of poses. Together with acknowledgements, it stays below the rate of messages that a daemon accepts from a
+/// Parses a rate of poses. Together with acknowledgements, it stays below the rate of messages that a server accepts from a
 /// stream.
 fn pose_rate(text: &str) -> Result<f64, String> {
     number(text, 0.01, 400.0, "poses per second, 0.01 to 400")
@@ -236,7 +236,7 @@ impl RateArgs {
 /// Runs the load, then prints and writes the report.
 ///
 /// # Errors
-/// The daemon cannot be reached, refuses the scene or a parameter, or gave no frame at all; or a file cannot be written.
+/// The server cannot be reached, refuses the scene or a parameter, or gave no frame at all; or a file cannot be written.
 pub fn run(args: &LoadArgs) -> anyhow::Result<ExitCode> {
     super::local::init_log();
     let settings = args.settings()?;
@@ -363,7 +363,7 @@ async fn find_scene(
         None => {
             let list: List = connections.json(&format!("{prefix}/v1/scenes")).await?;
             let mut ready = list.scenes.into_iter().filter(|scene| scene.state == "ready");
-            let first = ready.next().context("the daemon has no scene that is ready")?;
+            let first = ready.next().context("the server has no scene that is ready")?;
             let others = ready.count();
             if others > 0 {
                 say!("--scene {}, the first of {} that are ready", first.id, others + 1);
@@ -380,7 +380,7 @@ async fn find_scene(
 
 /// Gets one frame before the run begins, so that a refusal shows early and one-time work is not measured.
 async fn try_once(client: &RequestClient, timeout_s: f64) -> anyhow::Result<()> {
-    // The daemon may have to build point trees first.
+    // The server may have to build point trees first.
     let patience = Duration::from_secs_f64(timeout_s.max(120.0));
     // No request of the run has the pose of this number.
     let first = tokio::time::timeout(patience, client.frame(u64::from(u32::MAX)));
@@ -388,7 +388,7 @@ async fn try_once(client: &RequestClient, timeout_s: f64) -> anyhow::Result<()> 
         Err(_) => bail!("no first frame within {} s", patience.as_secs()),
         Ok(Outcome::Answered(answer)) => match answer.status {
             200..=299 => Ok(()),
-            // The daemon is busy with other clients. This is to be measured, not refused.
+            // The server is busy with other clients. This is to be measured, not refused.
             429 | 503 => Ok(()),
             status => {
                 bail!("{}", answer.complaint.unwrap_or_else(|| format!("status {status}")))

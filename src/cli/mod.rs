@@ -43,9 +43,9 @@ pub struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Run the daemon
+    /// Run the server
     Serve(Box<serve::ServeArgs>),
-    /// Draw frames of jobs for daemons that share a NATS server
+    /// Draw frames of jobs for servers that share a NATS server
     Worker(Box<worker::WorkerArgs>),
     /// Draw one frame of a scene or of a single asset file, without a server
     Render(Box<render::RenderArgs>),
@@ -67,7 +67,7 @@ enum Command {
     Generate(generate::GenerateArgs),
     /// Measure the error and the GPU time of a scene's settings, or compare the shaders with exact results on hard cases
     Accuracy(Box<accuracy::AccuracyArgs>),
-    /// Measure a daemon's latency at given request rates, or find the rate at which it saturates
+    /// Measure a server's latency at given request rates, or find the rate at which it saturates
     Load(Box<load::LoadArgs>),
     /// Sign an address, so that whoever has it may read it until a time, without a key
     Sign(sign::SignArgs),

@@ -1,4 +1,4 @@
-//! `pointillist render`: draws one frame with the engine that the daemon uses.
+//! `pointillist render`: draws one frame with the engine that the server uses.
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc;

@@ -1,4 +1,4 @@
-//! `pointillist serve`: the daemon.
+//! `pointillist serve`: the server.
 //!
 //! A setting may come from a flag, from the environment (`POINTILLIST_` and the flag's name in capitals), or from the TOML file
 //! given with `--config` (the flag's name without leading dashes). The first of these that has the setting wins; otherwise it has
@@ -40,10 +40,10 @@ mod greeting;
 mod patience;
 mod state;
 
-/// Longest wait for the last lines of the access and the audit log when the daemon stops.
+/// Longest wait for the last lines of the access and the audit log when the server stops.
 const LOG_PATIENCE: Duration = Duration::from_secs(2);
 
-/// Settings of the daemon; `None` marks a setting that was not given.
+/// Settings of the server; `None` marks a setting that was not given.
 #[derive(Args, Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct ServeArgs {
@@ -106,10 +106,10 @@ pub struct ServeArgs {
     /// Maximum width and height of a frame, in pixels [default: 8192]
     #[arg(long, env = "POINTILLIST_MAX_SIDE", value_name = "PX")]
     pub max_side: Option<u32>,
-    /// Refuse uploads; if several daemons share a root, all but one need this flag or --follow-uploads
+    /// Refuse uploads; if several servers share a root, all but one need this flag or --follow-uploads
     #[arg(long, env = "POINTILLIST_NO_UPLOADS", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
     pub no_uploads: Option<bool>,
-    /// Refuse uploads, and serve those of the daemon that keeps the uploads of this root; new ones are loaded within seconds
+    /// Refuse uploads, and serve those of the server that keeps the uploads of this root; new ones are loaded within seconds
     #[arg(long, env = "POINTILLIST_FOLLOW_UPLOADS", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
     pub follow_uploads: Option<bool>,
     /// Maximum size of one upload, in MiB [default: 4096]
@@ -181,7 +181,7 @@ pub struct ServeArgs {
     /// OpenTelemetry collector to which traces of requests and metrics are sent by OTLP over HTTP, as in http://127.0.0.1:4318
     #[arg(long, env = "POINTILLIST_OTLP", value_name = "URL")]
     pub otlp: Option<String>,
-    /// Folder for jobs and their frames; each daemon needs its own [default: `pointillist` in the user's state folder]
+    /// Folder for jobs and their frames; each server needs its own [default: `pointillist` in the user's state folder]
     #[arg(long, env = "POINTILLIST_STATE", value_name = "FOLDER")]
     pub state: Option<PathBuf>,
     /// Accept no jobs, even if --state is given
@@ -244,7 +244,7 @@ pub enum LogFormat {
     Json,
 }
 
-/// Runs the daemon until a signal stops it.
+/// Runs the server until a signal stops it.
 ///
 /// # Errors
 /// A setting cannot be used, the address is in use, there is no GPU adapter, or none of the scenes given with `--scene` loads.
@@ -492,14 +492,14 @@ fn number<T: PartialOrd + std::fmt::Display>(
     Ok(value)
 }
 
-/// Returns how the daemon treats uploads.
+/// Returns how the server treats uploads.
 fn uploads(args: &ServeArgs) -> anyhow::Result<Uploads> {
     match (args.no_uploads == Some(true), args.follow_uploads == Some(true)) {
         (false, false) => Ok(Uploads::Kept),
         (false, true) => Ok(Uploads::Followed),
         (true, false) => Ok(Uploads::Refused),
         (true, true) => bail!(
-            "--no-uploads and --follow-uploads exclude each other: give --follow-uploads alone to serve the uploads of another daemon"
+            "--no-uploads and --follow-uploads exclude each other: give --follow-uploads alone to serve the uploads of another server"
         ),
     }
 }

@@ -1,4 +1,4 @@
-//! `pointillist worker`: draws frames of films for daemons that share a NATS server and a store.
+//! `pointillist worker`: draws frames of films for servers that share a NATS server and a store.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -28,7 +28,7 @@ pub struct WorkerArgs {
     /// Certificates, in PEM form, that sign the NATS server's own; requires TLS
     #[arg(long, env = "POINTILLIST_NATS_CA", value_name = "FILE")]
     nats_ca: Option<PathBuf>,
-    /// Existing folder, or s3://BUCKET/PREFIX, that the daemon and all workers share
+    /// Existing folder, or s3://BUCKET/PREFIX, that the server and all workers share
     #[arg(long, env = "POINTILLIST_STORE", value_name = "FOLDER_OR_URL")]
     store: String,
     /// Cache folder for point trees [default: `pointillist` in the user's cache folder]

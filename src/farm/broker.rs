@@ -1,9 +1,9 @@
 //! The connection to the NATS server: a JetStream work queue of runs, and plain subjects for notes and beats.
 //!
-//! Only daemons create the stream and the consumer of their kind. Workers wait until both exist: a server of version 2.9 stops
-//! answering pulls when several clients create a consumer at the same time. Nothing here needs a newer server than 2.9.
+//! Only servers create the stream and the consumer of their kind. Workers wait until both exist: NATS 2.9 stops
+//! answering pulls when several clients create a consumer at the same time. Nothing here needs a newer version.
 //!
-//! A server that is not there, or that restarts, is no error: the connection is made anew, and every request has a time limit after
+//! A NATS server that is down or restarts is no error: the connection is made anew, and every request has a time limit after
 //! which the caller tries again.
 
 use std::path::PathBuf;
@@ -227,7 +227,7 @@ impl Broker {
         self.client.connection_state() == State::Connected
     }
 
-    /// Creates the stream, and the consumer of a kind, unless they exist. For daemons only.
+    /// Creates the stream, and the consumer of a kind, unless they exist. For servers only.
     ///
     /// # Errors
     /// The server does not answer or refuses, as in all other requests.
@@ -333,7 +333,7 @@ impl Broker {
         })
     }
 
-    /// Returns the consumer of a kind, which a daemon has created.
+    /// Returns the consumer of a kind, which a server has created.
     pub async fn consumer(&self, kind: &str) -> Result<PullConsumer, BrokerError> {
         let found = self.context.get_consumer_from_stream(kind, STREAM).await;
         found.map_err(failed("find the consumer"))

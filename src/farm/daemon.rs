@@ -1,4 +1,4 @@
-//! The daemon's side: queues a job's frames as runs and collects them from the store.
+//! The server's side: queues a job's frames as runs and collects them from the store.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -51,9 +51,9 @@ struct Shared {
     broker: Broker,
     store: Store,
     runtime: Handle,
-    /// Lasting name of this daemon.
+    /// Lasting name of this server.
     name: String,
-    /// Hash of what decides the pixels of this daemon's frames.
+    /// Hash of what decides the pixels of this server's frames.
     identity: String,
     /// Known when the store has been reached.
     kind: OnceCell<String>,
@@ -77,7 +77,7 @@ enum Trouble {
 }
 
 impl Farm {
-    /// Prepares a farm whose tasks run on `runtime`. `name` is this daemon's for good.
+    /// Prepares a farm whose tasks run on `runtime`. `name` is this server's for good.
     ///
     /// # Errors
     /// The broker's address cannot be used. A broker that is not there is no error.
@@ -88,7 +88,7 @@ impl Farm {
         engine: &Engine,
         runtime: &Handle,
     ) -> Result<Farm, BrokerError> {
-        let client_name = format!("pointillist daemon {name}");
+        let client_name = format!("pointillist server {name}");
         let broker = runtime.block_on(Broker::connect(address, &client_name))?;
         let (identity, adapter) = (engine.identity(), engine.adapter());
         let address = address.without_secrets();
@@ -157,7 +157,7 @@ async fn count_queued(shared: Arc<Shared>) {
 
 /// Removes what no film needs, for as long as the process lives.
 async fn clean_store(store: Store) {
-    // Not at once: daemons that start together would clean together.
+    // Not at once: servers that start together would clean together.
     let first = tokio::time::Instant::now() + CLEAN_AFTER;
     let mut interval = tokio::time::interval_at(first, CLEAN_EVERY);
     loop {
@@ -259,7 +259,7 @@ impl Remote for Farm {
 }
 
 impl Shared {
-    /// Returns the kind of this daemon's workers.
+    /// Returns the kind of this server's workers.
     ///
     /// # Errors
     /// The store cannot be reached.
@@ -289,7 +289,7 @@ impl Shared {
         }
     }
 
-    /// Names a film: by this daemon, the job, and everything that its frames share. After a kill, the next process finds the frames again.
+    /// Names a film: by this server, the job, and everything that its frames share. After a kill, the next process finds the frames again.
     fn film_name(&self, kind: &str, job: u64, order: &[u8]) -> String {
         let mut hasher = Sha256::new_with_prefix(format!("{} {job} {kind} ", self.name));
         hasher.update(order);
@@ -525,7 +525,7 @@ impl Collection<'_> {
             match self.shared.broker.mend(self.kind).await {
                 Ok(true) => {
                     tracing::warn!(
-                        "the NATS server skipped queued runs; the daemon recreated the consumer"
+                        "the NATS server skipped queued runs; the server recreated the consumer"
                     )
                 }
                 Ok(false) => {}

@@ -1,4 +1,4 @@
-//! The frames of one film from the daemon's point of view. Pure: it decides what to queue and knows what is outstanding.
+//! The frames of one film from the server's point of view. Pure: it decides what to queue and knows what is outstanding.
 //!
 //! ```text
 //!            next                    arrived, given up
@@ -65,7 +65,7 @@ impl Desk {
     }
 
     /// Returns the next run to queue, if there are frames for one and few enough are queued. The film shares `workers` with all `films`
-    /// that the daemon draws now, itself included.
+    /// that the server draws now, itself included.
     pub fn next(&mut self, workers: u64, films: u64, now: Instant) -> Option<Run> {
         let workers = share_of_workers(workers, films);
         if self.sent.len() as u64 >= most_runs(workers) || self.waiting.is_empty() {

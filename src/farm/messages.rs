@@ -1,10 +1,10 @@
-//! Messages between daemon and workers, with their subjects and names.
+//! Messages between server and workers, with their subjects and names.
 //!
 //! | on | from | to | what |
 //! |---|---|---|---|
-//! | the stream's `pointillist.runs.KIND.FILM` | daemon, worker | one worker of the kind | [`Run`] |
-//! | subject `pointillist.notes.FILM` | worker | daemon | [`Note`]; any of them may be lost |
-//! | subject `pointillist.workers.KIND` | worker | daemons | [`Beat`], every second |
+//! | the stream's `pointillist.runs.KIND.FILM` | server, worker | one worker of the kind | [`Run`] |
+//! | subject `pointillist.notes.FILM` | worker | server | [`Note`]; any of them may be lost |
+//! | subject `pointillist.workers.KIND` | worker | servers | [`Beat`], every second |
 //! | the store | both | both | see [`store`](super::store) |
 
 use serde::{Deserialize, Serialize};
@@ -43,7 +43,7 @@ pub fn beats(kind: &str) -> String {
 /// A scene's files in the store.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Bundle {
-    /// Path of the scene file or asset file; like all paths here, below the daemon's root.
+    /// Path of the scene file or asset file; like all paths here, below the server's root.
     pub main: String,
     /// Folder to which names in the scene file are relative; `None`: the file's own.
     pub base: Option<String>,
@@ -79,7 +79,7 @@ pub struct Run {
 }
 
 impl Run {
-    /// Returns whether the film has a name that a daemon gives. An empty name would be that of all films.
+    /// Returns whether the film has a name that a server gives. An empty name would be that of all films.
     pub fn is_sound(&self) -> bool {
         are_digits(&self.film, 32)
     }

@@ -1,23 +1,23 @@
-//! Films over several machines (floor 6): a daemon's jobs, drawn by worker processes that share a NATS server and a store.
+//! Films over several machines (floor 6): a server's jobs, drawn by worker processes that share a NATS server and a store.
 //!
 //! ```text
-//! jobs ──► daemon ──runs──► broker ──runs──► worker ──► film, engine
+//! jobs ──► server ──runs──► broker ──runs──► worker ──► film, engine
 //!             ▲  ▲                             │ │
 //!             │  └────────────notes────────────┘ │
 //!             └──────────frames── store ◄────────┘
 //! ```
 //!
-//! The daemon keeps a job as it does without workers: it names the frames, collects them into the job's folder, serves them and codes the
+//! The server keeps a job as it does without workers: it names the frames, collects them into the job's folder, serves them and codes the
 //! video. Only the drawing is elsewhere, behind [`jobs::Remote`](crate::jobs::Remote). A **run** is a few frames that one worker draws; it is
 //! a message of a JetStream work queue. A worker pulls one run at a time and reports progress while it draws, so that the server delivers
 //! the run of a killed worker to another one. It stores each frame under the frame's entity tag. If the run was begun before, it draws no frame that is already there.
 //!
 //! Frames of different adapters, drivers or builds never meet in a film. The hash of these three ([`Engine::identity`](crate::engine::Engine::identity))
-//! and the store's mark are a worker's **kind**; the queue delivers a run only to workers of the daemon's kind, and a worker draws a
-//! frame only if it computes the tag that the daemon expects.
+//! and the store's mark are a worker's **kind**; the queue delivers a run only to workers of the server's kind, and a worker draws a
+//! frame only if it computes the tag that the server expects.
 //!
-//! Whatever is killed, nothing is lost: runs are in the broker's files, frames in the store, the job on the daemon's disk. Notes may get
-//! lost; the daemon also looks into the store. It queues runs again that no worker seems to have ([`desk`]). A run that was begun and not
+//! Whatever is killed, nothing is lost: runs are in the broker's files, frames in the store, the job on the server's disk. Notes may get
+//! lost; the server also looks into the store. It queues runs again that no worker seems to have ([`desk`]). A run that was begun and not
 //! finished is split into single frames. A frame is set aside when [`pacing::MOST_TRIES`] workers ended while they drew it, or when
 //! different workers failed at it ([`tries`]); its job fails when all other frames are there. A worker that fails at several runs in a row
 //! pauses, so that the other workers get the runs.
@@ -54,7 +54,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(100);
 /// Interval at which the log repeats a failure that lasts.
 const SAY_AGAIN: Duration = Duration::from_secs(60);
 
-/// Returns the lasting name of a daemon, which is kept in its state folder.
+/// Returns the lasting name of a server, which is kept in its state folder.
 ///
 /// # Errors
 /// The file cannot be read or written.

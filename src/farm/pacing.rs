@@ -8,7 +8,7 @@ pub const RUN_TIME: Duration = Duration::from_secs(2);
 const FIRST_FRAMES: u64 = 4;
 /// Largest number of frames of a run, which bounds its message.
 const MOST_FRAMES: u64 = 256;
-/// Runs that are queued at a time for each worker. With less than two, workers would wait for the daemon.
+/// Runs that are queued at a time for each worker. With less than two, workers would wait for the server.
 const RUNS_PER_WORKER: u64 = 3;
 const FEWEST_RUNS: u64 = 4;
 /// Number of times that a frame is begun before it is set aside.
@@ -40,13 +40,13 @@ pub const PULL: Duration = Duration::from_secs(4);
 pub const STORES: usize = 8;
 /// Drawn frames that wait in a worker to be stored.
 pub const UNSTORED: usize = 4;
-/// Interval at which a daemon looks at a film when no note comes.
+/// Interval at which a server looks at a film when no note comes.
 pub const TICK: Duration = Duration::from_millis(250);
-/// Time without notes after which a daemon lists a film in the store.
+/// Time without notes after which a server lists a film in the store.
 pub const LIST_AFTER: Duration = Duration::from_secs(2);
-/// Frames that a daemon reads from the store at a time for a film.
+/// Frames that a server reads from the store at a time for a film.
 pub const READS: usize = 8;
-/// Notes of a film that a daemon takes at a time.
+/// Notes of a film that a server takes at a time.
 pub const MOST_NOTES: usize = 64;
 
 /// Returns the number of frames of the next run, given that `remaining` frames are in no run yet. `frame` is the measured time of a frame.
@@ -98,7 +98,7 @@ pub fn judge(begun: u64, deaths: u64, frames: usize) -> Verdict {
 }
 
 /// Returns whether frames of a run that was begun `begun` times before may be in the store, so that a worker asks for each before it
-/// draws. A fresh run of several frames seldom has any: the daemon has looked before. Runs of one frame may come from a run that was split.
+/// draws. A fresh run of several frames seldom has any: the server has looked before. Runs of one frame may come from a run that was split.
 pub fn may_be_stored(begun: u64, frames: usize) -> bool {
     begun > 0 || frames <= 1
 }

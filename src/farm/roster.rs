@@ -1,4 +1,4 @@
-//! The workers that a daemon has heard of. Pure: beats and times come in.
+//! The workers that a server has heard of. Pure: beats and times come in.
 
 use std::collections::{BTreeMap, HashMap};
 use std::time::{Duration, Instant};

@@ -1,10 +1,10 @@
-//! The store that daemon and workers share besides messages: a folder, or a bucket of an S3-compatible service.
+//! The store that server and workers share besides messages: a folder, or a bucket of an S3-compatible service.
 //!
 //! | name | content | written by |
 //! |---|---|---|
-//! | `pointillist-store` | what tells this store from others, drawn at random | the first daemon |
-//! | `assets/SHA256` | a file of a scene; removed a week after it was last stored, unless a film needs it | the daemon, once for all films |
-//! | `films/FILM/order.json` | [`FilmOrder`](super::messages::FilmOrder); removed first when the film is over | the daemon |
+//! | `pointillist-store` | what tells this store from others, drawn at random | the first server |
+//! | `assets/SHA256` | a file of a scene; removed a week after it was last stored, unless a film needs it | the server, once for all films |
+//! | `films/FILM/order.json` | [`FilmOrder`](super::messages::FilmOrder); removed first when the film is over | the server |
 //! | `films/FILM/frames/TAG` | the image with this entity tag | workers |
 //! | `films/FILM/tries/FIRST-LAST` | [`Tries`]: which workers began these frames, and how often | workers |
 //! | `films/FILM/aside/NUMBER` | why a frame is set aside | workers |
@@ -134,7 +134,7 @@ impl Store {
         &self.name
     }
 
-    /// Returns the store's mark, which is created if missing. For daemons only.
+    /// Returns the store's mark, which is created if missing. For servers only.
     ///
     /// # Errors
     /// The store fails, as in all other operations.
@@ -153,17 +153,17 @@ impl Store {
             error: object_store::Error::NotImplemented { .. }, ..
         }) = created
         {
-            // A service that knows no conditions: daemons must not begin at the same moment.
+            // A service that knows no conditions: servers must not begin at the same moment.
             created = self.put(&mark, own.clone().into()).await;
         }
         match created {
             Ok(()) => Ok(self.id.get_or_init(|| own.clone())),
-            // Another daemon was faster.
+            // Another server was faster.
             Err(error) => self.find().await?.ok_or(error),
         }
     }
 
-    /// Returns the store's mark; `None` if no daemon has used the store.
+    /// Returns the store's mark; `None` if no server has used the store.
     pub async fn find(&self) -> Result<Option<&str>, StoreError> {
         if self.id.get().is_none()
             && let Some(found) = self.mark().await?

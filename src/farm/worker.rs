@@ -146,7 +146,7 @@ impl Worker {
                 None => match self.broker.consumer(&kind).await {
                     Ok(found) => consumer.insert(found),
                     Err(error) => {
-                        tracing::debug!(%error, "no daemon has prepared the queue yet");
+                        tracing::debug!(%error, "no server has prepared the queue yet");
                         if waiting.elapsed() >= QUIET
                             && self.broker.is_connected()
                             && said.is_due("waits")
@@ -199,7 +199,7 @@ impl Worker {
         self.state.lock().is_paused = false;
     }
 
-    /// Waits until a daemon has marked the store, and returns the worker's kind.
+    /// Waits until a server has marked the store, and returns the worker's kind.
     async fn reach_store(&self) -> String {
         let said = Said::default();
         loop {
@@ -289,7 +289,7 @@ impl Worker {
         self.set_busy(None);
     }
 
-    /// Removes what the run has stored after the daemon removed its film.
+    /// Removes what the run has stored after the server removed its film.
     async fn clear_up(&self, run: &Run) {
         let film = &run.film;
         let removed: Result<(), StoreError> = async {

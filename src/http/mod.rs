@@ -1,4 +1,4 @@
-//! The daemon's HTTP floor (7): requests become jobs, results become answers. Translation only; the
+//! The server's HTTP floor (7): requests become jobs, results become answers. Translation only; the
 //! [engine](crate::engine) decides what can be drawn and whether there is room for it.
 //!
 //! ```text

@@ -133,7 +133,7 @@ pub async fn remove(
 /// Removes the scene of a claimed id: its files first, since a failure must leave everything as it was.
 fn remove_claimed(app: &App, claim: Reservation) -> Result<StatusCode, Problem> {
     let id = claim.id();
-    // Without uploads the folder of uploads may belong to another daemon.
+    // Without uploads the folder of uploads may belong to another server.
     if app.settings.uploads.are_kept() {
         upload::store::remove_files(&app.settings.root, id).map_err(|error| storage(&error))?;
     }
@@ -178,7 +178,7 @@ const CHANGE_SYNONYMS: [(&str, &str); 3] =
 const MAX_CHANGE_BYTES: u64 = 64 << 10;
 
 /// Moves, shows or hides a top-level node. The scene gets a new revision; no data is uploaded to the GPU again. The scene's
-/// file does not change, so a restarted daemon begins with the file's values. A key of scope write changes only scenes that it
+/// file does not change, so a restarted server begins with the file's values. A key of scope write changes only scenes that it
 /// uploaded.
 #[utoipa::path(
     patch,

@@ -287,7 +287,7 @@ async fn load_scenes(
 
 const SIGTERM: &str = "SIGTERM";
 
-/// Waits for SIGTERM, SIGINT, or the end of the terminal, for commands other than the daemon. Needs a runtime. From this call on, these signals no
+/// Waits for SIGTERM, SIGINT, or the end of the terminal, for commands other than the server. Needs a runtime. From this call on, these signals no
 /// longer end the process. SIGHUP is ignored where standard error is no terminal.
 pub fn stop_signal() -> std::io::Result<impl Future<Output = &'static str>> {
     let mut signals = Signals::new()?;

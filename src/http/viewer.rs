@@ -1,6 +1,6 @@
 //! Serves the viewer: one page and its files, all embedded in the binary.
 //!
-//! Clients revalidate every file by its hash, so that a newer daemon never runs with an older page's scripts. The page may load
+//! Clients revalidate every file by its hash, so that a newer server never runs with an older page's scripts. The page may load
 //! only these files and this server's answers ([`POLICY`]). A debug build with `POINTILLIST_VIEWER=src/viewer` reads the files
 //! from that folder instead.
 
@@ -39,12 +39,12 @@ macro_rules! files {
     };
 }
 
-/// The script that tells the page which files an upload takes, made of what the daemon declares.
+/// The script that tells the page which files an upload takes, made of what the server declares.
 static FORMATS: LazyLock<File> = LazyLock::new(|| {
     let models: Vec<&str> =
         assets::FORMATS.iter().copied().filter(|format| !COMPANIONS.contains(format)).collect();
     let text = format!(
-        "// Formats that the daemon reads, files that belong to others, and the largest number of files in an upload.\n\
+        "// Formats that the server reads, files that belong to others, and the largest number of files in an upload.\n\
          export const MODELS = {};\nexport const COMPANIONS = {};\nexport const MOST_FILES = {MAX_FILES};\n",
         json!(models),
         json!(COMPANIONS),

@@ -94,7 +94,7 @@ pub enum Need {
 pub enum Outcome {
     Done,
     Failed(Failure),
-    /// The daemon stops; the next process goes on.
+    /// The server stops; the next process goes on.
     Paused,
     /// Something is missing that may come back.
     Waits(String),

@@ -106,7 +106,7 @@ impl Pace {
 pub enum Stop {
     /// The job was cancelled or removed.
     Cancelled,
-    /// The daemon stops.
+    /// The server stops.
     Paused,
     /// The quota is used up.
     Full,

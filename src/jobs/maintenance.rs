@@ -13,7 +13,7 @@ const SWEEP_EVERY: Duration = Duration::from_secs(1);
 /// Delay before a failed removal is tried again.
 const REST: Duration = Duration::from_secs(30);
 
-/// Runs the maintenance thread until the daemon stops.
+/// Runs the maintenance thread until the server stops.
 pub(super) fn run(shared: &JobsState) {
     let mut rest_until = Instant::now();
     while !shared.stopping.load(Ordering::Relaxed) {

@@ -135,7 +135,7 @@ pub struct Counts {
     pub bytes: u64,
 }
 
-/// All jobs of a daemon; clones share them.
+/// All jobs of a server; clones share them.
 #[derive(Clone)]
 pub struct Jobs {
     shared: Arc<JobsState>,
@@ -145,7 +145,7 @@ impl Jobs {
     /// Opens the state folder and loads the jobs of earlier processes. Nothing is drawn before [`Jobs::start`].
     ///
     /// # Errors
-    /// The folder belongs to another daemon or cannot be written.
+    /// The folder belongs to another server or cannot be written.
     pub fn open(engine: Engine, config: Config) -> Result<Jobs, StateError> {
         let now = clock::wall_ms();
         let mut opened = Store::open(&config.folder, now)?;

@@ -48,7 +48,7 @@ fn not_loaded(scene: &str) -> String {
     format!("scene `{scene}` is not loaded")
 }
 
-/// Runs a runner's thread until the daemon stops.
+/// Runs a runner's thread until the server stops.
 pub(super) fn run(shared: &JobsState) {
     while let Some((record, phase, live)) = next(shared) {
         let id = record.id;
@@ -67,7 +67,7 @@ pub(super) fn run(shared: &JobsState) {
     }
 }
 
-/// Waits for a job whose turn it is; `None` when the daemon stops.
+/// Waits for a job whose turn it is; `None` when the server stops.
 fn next(shared: &JobsState) -> Option<(Record, Phase, Arc<Live>)> {
     let mut book = shared.book.lock();
     loop {

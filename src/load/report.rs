@@ -63,7 +63,7 @@ pub struct Report {
     pub poses: PathKind,
     /// Query parameters beside the pose.
     pub parameters: Vec<(String, String)>,
-    /// The adapter of the daemon and the settings as it understood them, from the first receipt.
+    /// The adapter of the server and the settings as it understood them, from the first receipt.
     pub adapter: Option<String>,
     pub settings_used: serde_json::Value,
     pub generator: Generator,

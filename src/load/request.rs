@@ -30,7 +30,7 @@ const COMPLAINT_BYTES: usize = 4096;
 
 type Sender = SendRequest<Empty<Bytes>>;
 
-/// A pool of connections to one daemon.
+/// A pool of connections to one server.
 pub struct Connections {
     address: SocketAddr,
     authority: String,
@@ -65,7 +65,7 @@ fn words(error: &dyn std::error::Error) -> String {
 }
 
 impl Connections {
-    /// Resolves the daemon's address, once for all connections. `key` is an API key.
+    /// Resolves the server's address, once for all connections. `key` is an API key.
     ///
     /// # Errors
     /// Fails for a host that is unknown or does not answer, and for a key that no header can carry.
@@ -113,7 +113,7 @@ impl Connections {
         self.headers.clone()
     }
 
-    /// Opens a new connection to the daemon.
+    /// Opens a new connection to the server.
     ///
     /// # Errors
     /// Fails with the system's message.
@@ -187,7 +187,7 @@ impl Connections {
         Ok(read)
     }
 
-    /// Reads a JSON document from the daemon.
+    /// Reads a JSON document from the server.
     ///
     /// # Errors
     /// Fails without an answer, for any status but 200, and for unexpected JSON.
@@ -200,7 +200,7 @@ impl Connections {
             bail!("GET {path}: {}", complaint(read.status, &read.body));
         }
         serde_json::from_slice(&read.body)
-            .with_context(|| format!("GET {path}: not the answer of a Pointillist daemon"))
+            .with_context(|| format!("GET {path}: not the answer of a Pointillist server"))
     }
 }
 
@@ -232,7 +232,7 @@ impl From<Read> for Answer {
 /// Asks for each frame with a GET.
 pub struct RequestClient {
     pub connections: Arc<Connections>,
-    /// Prefix of the daemon's paths.
+    /// Prefix of the server's paths.
     pub prefix: String,
     pub scene: String,
     pub poses: Poses,

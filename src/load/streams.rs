@@ -82,13 +82,13 @@ impl StreamClients {
         tally.lock().point()
     }
 
-    /// Gets one frame from a stream before the run begins, so that a refusal by the daemon shows early.
+    /// Gets one frame from a stream before the run begins, so that a refusal by the server shows early.
     ///
     /// # Errors
     /// Fails if the stream cannot be opened or gives no frame.
     pub async fn try_once(&self, connections: &Connections) -> anyhow::Result<()> {
         let Some(poses) = self.poses.first() else { return Ok(()) };
-        // The daemon may have to build point trees first.
+        // The server may have to build point trees first.
         let patience = self.timeout.max(Duration::from_secs(120));
         let tried = tokio::time::timeout(patience, self.first_frame(connections, poses));
         tried.await.unwrap_or_else(|_| bail!("no frame arrived on a stream within {patience:?}"))
@@ -101,7 +101,7 @@ impl StreamClients {
             match message.context("no frame on a stream")? {
                 Message::Binary(_) => {
                     let _ = socket.close(None).await;
-                    // The daemon frees the stream's place before it answers.
+                    // The server frees the stream's place before it answers.
                     let answered = async { while let Some(Ok(_)) = socket.next().await {} };
                     let _ = tokio::time::timeout(CLOSING, answered).await;
                     return Ok(());
@@ -244,7 +244,7 @@ impl OneStream {
             }
         }
         let _ = tokio::time::timeout(CLOSING, sink.close()).await;
-        // The daemon frees the stream's place before it answers.
+        // The server frees the stream's place before it answers.
         let _ = tokio::time::timeout(CLOSING, &mut reader).await;
         reader.abort();
         Ok(())

@@ -31,7 +31,7 @@ pub struct Thresholds {
     /// Fail if fewer frames arrive than this share of the requested rate
     #[arg(long, value_name = "SHARE", value_parser = share)]
     pub fail_achieved: Option<f64>,
-    /// Fail if --saturate finds that the daemon keeps up with fewer requests per second than this
+    /// Fail if --saturate finds that the server keeps up with fewer requests per second than this
     #[arg(long, value_name = "R", value_parser = rate, requires = "saturate", conflicts_with_all = ["rate", "rates"])]
     pub fail_knee: Option<f64>,
 }
@@ -63,7 +63,7 @@ impl Thresholds {
     /// A message for each threshold that the report exceeds.
     pub fn broken(&self, report: &Report) -> Vec<String> {
         let mut broken = Vec::new();
-        // A search exceeds the daemon's capacity on purpose: this is how it finds the knee.
+        // A search exceeds the server's capacity on purpose: this is how it finds the knee.
         if report.knee.is_none() {
             broken.extend(report.points.iter().flat_map(|judged| self.broken_at(&judged.point)));
         }
@@ -74,7 +74,7 @@ impl Thresholds {
                 .keeps_up_to_per_s
                 .map_or("no rate".to_owned(), |rate| format!("{}/s", three_digits(rate)));
             broken.push(format!(
-                "the daemon keeps up with {found}, and --fail-knee is {}/s",
+                "the server keeps up with {found}, and --fail-knee is {}/s",
                 three_digits(least)
             ));
         }

@@ -1,11 +1,11 @@
-//! The part of the daemon's HTTP contract that the generator uses: the requests that it sends, and the answers that it reads.
+//! The part of the server's HTTP contract that the generator uses: the requests that it sends, and the answers that it reads.
 
 use anyhow::{Context, bail, ensure};
 use serde::Deserialize;
 
 use crate::math::{Camera, Lens};
 
-/// Address of the daemon.
+/// Address of the server.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Target {
     pub host: String,
@@ -24,7 +24,7 @@ impl Target {
         match uri.scheme_str() {
             Some("http") => {}
             Some("https") => bail!(
-                "{text}: https is not supported; give the daemon's own http address instead of the TLS proxy's"
+                "{text}: https is not supported; give the server's own http address instead of the TLS proxy's"
             ),
             _ => bail!("{text}: expected http://HOST:PORT"),
         }

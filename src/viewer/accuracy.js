@@ -19,7 +19,7 @@ export class Accuracy {
   constructor(view) {
     this.view = view;
     this.wipe = new Wipe();
-    this.known = null;   // what the daemon knows of the scene; null if it was never measured
+    this.known = null;   // what the server knows of the scene; null if it was never measured
     this.receipt = null; // that of the newest frame at rest
     this.chosen = null;
     this.timer = 0;

@@ -1,4 +1,4 @@
-// Requests to the daemon, and its problems (application/problem+json).
+// Requests to the server, and its problems (application/problem+json).
 
 let key = sessionStorage.getItem('pointillist-key') || '';
 
@@ -12,7 +12,7 @@ export const headers = () => key ? { Authorization: 'Bearer ' + key } : {};
 // Subprotocols of a WebSocket. Pages cannot set its headers, so the key goes as a subprotocol.
 export const subprotocols = () => key ? ['pointillist', 'pointillist.key.' + key] : ['pointillist'];
 
-export const NO_ANSWER = { title: 'The server does not answer', detail: 'Is the daemon still running?', status: 0 };
+export const NO_ANSWER = { title: 'The server does not answer', detail: 'Is `pointillist serve` still running?', status: 0 };
 
 export function problemFrom(status, statusText, text, retryAfterSeconds) {
   let problem = {};

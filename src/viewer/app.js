@@ -1,6 +1,6 @@
 // The viewer's main module: holds the state of the view, and connects the parts.
 //
-//   controls, recorder ──pose──▶ app ──▶ link ──▶ daemon
+//   controls, recorder ──pose──▶ app ──▶ link ──▶ server
 //   settings ────────────────────▶ │      │
 //   scenes, upload ─scene──────────┘      └──frames──▶ canvas, receipt, chart
 
@@ -308,7 +308,7 @@ function nothing(isLoading) {
   linkState('empty', 'no scene');
   $('status').textContent = isLoading ? 'The scenes are being loaded …'
     : failed ? `Scene ${failed.id} could not be loaded: ${failed.problem.detail}`
-    : 'No scene is loaded yet. Drop a file here, or start the daemon with --scene.';
+    : 'No scene is loaded yet. Drop a file here, or start the server with --scene.';
 }
 
 // given: {asked}, the parameters of an address, or {pose}.

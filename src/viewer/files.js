@@ -105,7 +105,7 @@ async function flattened(model, companions) {
     }
     return new File([JSON.stringify(document)], model.name);
   } catch {
-    return model; // the daemon reports the error
+    return model; // the server reports the error
   }
 }
 
@@ -115,7 +115,7 @@ async function isPath(file) {
 
 const isPathDocument = value => Array.isArray(value?.keys) && value.nodes === undefined;
 
-// Returns null for invalid JSON; the daemon reports the error.
+// Returns null for invalid JSON; the server reports the error.
 async function parsed(file) {
   try {
     return JSON.parse(await file.text());

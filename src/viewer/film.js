@@ -1,4 +1,4 @@
-// Films: the daemon draws the camera path frame by frame at full quality, as a job that goes on without this page. The page
+// Films: the server draws the camera path frame by frame at full quality, as a job that goes on without this page. The page
 // stores the job's id, so that a reload follows it again.
 
 import { getJson, hasKey, reach, sceneUrl } from './api.js';
@@ -25,7 +25,7 @@ export class Films {
     view.jobs.onList = list => this.listed(list);
   }
 
-  // isThere: whether the daemon draws jobs, by /v1/limits.
+  // isThere: whether the server draws jobs, by /v1/limits.
   offer(isThere) {
     $('film').hidden = !isThere;
     if (isThere && !this.isOffered) this.restore();
@@ -88,7 +88,7 @@ export class Films {
     }
   }
 
-  // The daemon sends events. EventSource cannot send a key, so a page with a key polls instead.
+  // The server sends events. EventSource cannot send a key, so a page with a key polls instead.
   follow(id) {
     if (hasKey()) return this.ask(id);
     const events = new EventSource(jobUrl(id, '/events'));

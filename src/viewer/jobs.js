@@ -1,4 +1,4 @@
-// The list of the daemon's films, running or finished, with the actions on each.
+// The list of the server's films, running or finished, with the actions on each.
 
 import { getJson, reach } from './api.js';
 import { $, button, bytes, complain, count } from './message.js';

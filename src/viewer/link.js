@@ -1,4 +1,4 @@
-// The connection to the daemon: a WebSocket on which poses go out and frames come in, or requests where a WebSocket is
+// The connection to the server: a WebSocket on which poses go out and frames come in, or requests where a WebSocket is
 // impossible.
 //
 //   open ──▶ connecting ──▶ stream ──lost──▶ waiting ──▶ connecting     longer each time, at once when the network is back
@@ -6,7 +6,7 @@
 //                └──▶ probe ──▶ waiting (nobody there, loading), gone, denied, or the second time in a row: requests
 //
 // The page holds the pose, so a new connection continues where the old one was. A frame is acknowledged after it is drawn, so
-// that the daemon follows the pace of this decoder. A frame that a newer one overtakes before it is decoded is skipped.
+// that the server follows the pace of this decoder. A frame that a newer one overtakes before it is decoded is skipped.
 
 import { getJson, isPassing, sceneUrl, subprotocols } from './api.js';
 import { Requests } from './requests.js';
@@ -170,7 +170,7 @@ export class Link {
       if (this.socket || this.wanted()?.id !== id) return;
       if (scene.state === 'failed') return this.on.gone(scene.problem);
       if (scene.state !== 'ready') return this.wait('the scene is being loaded');
-      // A single refusal may come from a daemon that is just starting.
+      // A single refusal may come from a server that is just starting.
       if (++this.refusals < 2) return this.wait('the stream was refused');
       this.fall('no stream can be opened here');
     } catch (problem) {

@@ -1,4 +1,4 @@
-// Asks the daemon which element the picture shows at a place. Asks for a few pixels around it, because points leave gaps.
+// Asks the server which element the picture shows at a place. Asks for a few pixels around it, because points leave gaps.
 
 import { reach, sceneUrl } from './api.js';
 import { digits } from './pose.js';
@@ -9,7 +9,7 @@ const SIDE = 9, MIDDLE = (SIDE - 1) / 2;
 const STEEPEST = 4;
 
 // place: [right, up] from the picture's middle, in halves of its height. frame: the parameters of the picture. Returns null if
-// there is nothing; else {position, distance, instance …} as the daemon sends it.
+// there is nothing; else {position, distance, instance …} as the server sends it.
 export async function pickAt(sceneId, frame, [right, up]) {
   const { format, quality, output, ...params } = frame, { w, h } = params;
   const x = Math.floor(w / 2 + right * h / 2), y = Math.floor(h / 2 - up * h / 2), pixels = [];

@@ -1,4 +1,4 @@
-// Plays a camera path by the clock, with a pose per animation frame. If the daemon is slow, poses are skipped and the time is
+// Plays a camera path by the clock, with a pose per animation frame. If the server is slow, poses are skipped and the time is
 // kept.
 
 import { durationOf, sampler, startOf } from './path.js';

@@ -10,7 +10,7 @@ import * as store from './store.js';
 
 const EASE_WORDS = { smooth: 'smooth', linear: 'even', in: 'from rest', out: 'to rest', in_out: 'rest to rest', hold: 'cut' };
 const KEY_SECONDS = 2;
-// Ranges of the fields, chosen so that the daemon accepts a film of the longest path at the highest rate.
+// Ranges of the fields, chosen so that the server accepts a film of the longest path at the highest rate.
 const FPS = [1, 120], SECONDS = [0.1, 8000];
 
 const rounded = seconds => Math.round(seconds * 1000) / 1000;

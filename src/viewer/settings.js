@@ -1,4 +1,4 @@
-// Settings of frames: those that the daemon declares (/v1/settings), each with a control of its name, and two of this page: the
+// Settings of frames: those that the server declares (/v1/settings), each with a control of its name, and two of this page: the
 // output, and the encoding at rest.
 
 import { getJson } from './api.js';

@@ -1,4 +1,4 @@
-// Uploads files by drop or by button: sends one scene after the other with progress, then waits while the daemon loads it. Failed
+// Uploads files by drop or by button: sends one scene after the other with progress, then waits while the server loads it. Failed
 // uploads are kept, to be sent again.
 
 import { getJson, headers, NO_ANSWER, problemFrom, sceneUrl } from './api.js';
@@ -6,7 +6,7 @@ import { faultOfGroup, filesOf, sorted, unreadable } from './files.js';
 import { MODELS } from './formats.js';
 import { $, bytes, complain, quiet } from './message.js';
 
-// Seconds that the daemon may delay its answer. After that it answers 202, and the page polls.
+// Seconds that the server may delay its answer. After that it answers 202, and the page polls.
 const WAIT_SECONDS = 2;
 const POLL_MS = 700;
 
@@ -146,7 +146,7 @@ function post(files, names) {
   });
 }
 
-// Waits until the scene is loaded. Cancelling only ends the wait, because the daemon has all files.
+// Waits until the scene is loaded. Cancelling only ends the wait, because the server has all files.
 async function loaded(id, names) {
   let isCancelled = false;
   cancel = () => { isCancelled = true; };
@@ -157,7 +157,7 @@ async function loaded(id, names) {
       if (scene.state === 'ready') return id;
       say(`${names}: received, being loaded for ${Math.round(scene.loading_ms / 1000)} s …`, null);
     } catch (problem) {
-      // A restarted daemon loads what its predecessor received.
+      // A restarted server loads what its predecessor received.
       if (problem.status !== 0) throw problem;
       say(`${names}: received; the server does not answer just now …`, null);
     }

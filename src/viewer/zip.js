@@ -1,5 +1,5 @@
 // A zip archive of stored files (PKWARE's APPNOTE, method 0): images are compressed already. The page makes it, because the
-// daemon sends frames one by one or as a multipart stream, which no desktop opens.
+// server sends frames one by one or as a multipart stream, which no desktop opens.
 
 // Limits on the archive's bytes and number of files without the 64-bit extension.
 export const MOST_BYTES = 0xffffffff, MOST_FILES = 0xffff;

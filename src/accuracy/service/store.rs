@@ -1,4 +1,4 @@
-//! Results that outlive a process: a JSON file for each scene, in the state folder of the daemon.
+//! Results that outlive a process: a JSON file for each scene, in the state folder of the server.
 //!
 //! A file that cannot be written is logged, and its results end with the process. A file that cannot be read is ignored until it is replaced.
 

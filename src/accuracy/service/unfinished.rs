@@ -1,6 +1,6 @@
 //! The measurement that runs, so that the next process goes on with it where this one ends: a file that says what is measured, and its journals.
 //!
-//! A daemon that ends in good order sets the count of starts back. One that is killed again and again by what it measures gives the measurement up.
+//! A server that ends in good order sets the count of starts back. One that is killed again and again by what it measures gives the measurement up.
 //! What cannot be written is logged, and a measurement without it begins anew in the next process.
 
 use std::fs;

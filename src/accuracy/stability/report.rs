@@ -25,7 +25,7 @@ const HEADER: [&str; 13] = [
 ];
 
 const SCENES: [&str; 8] =
-    ["scene", "views", "refused", "NaN", "changed", "bound", "beyond", "verdict"];
+    ["scene", "views", "refused", "NaN", "changed", "allowed", "unsteady", "verdict"];
 
 const LEGEND: &str = "\
 Worst error of an outline in px: edges of its box, centre, and the outline itself in 16 directions, within ±2^20 px.
@@ -105,8 +105,8 @@ impl Stability {
                 found.views.to_string(),
                 found.refused.values().sum::<u64>().to_string(),
                 found.not_finite.to_string(),
-                found.worst_changed.to_string(),
-                found.bound.to_string(),
+                found.worst.changed.to_string(),
+                found.worst.allowed.to_string(),
                 found.unsteady.to_string(),
                 verdict,
             ]);
@@ -129,7 +129,7 @@ impl Stability {
             reasons => format!("\nrefused: {}.", reasons.join("; ")),
         };
         format!(
-            "Random views of {width}×{height} px with up to {settings} settings a scene, 16 views each, each beside a view 0.001 px aside.\nNaN: depths that are no numbers. changed: pixels whose colour differs by more than 32 of 255 in the worst pair.{refused}"
+            "Random views of {width}×{height} px with up to {settings} settings a scene, 16 views each, each beside a view 0.001 px aside.\nNaN: views with depths that are no numbers or normals that are no unit vectors. changed: pixels whose colour differs by more than 32 of 255, in the pair where that is the largest share of the pixels that its edges explain (allowed). unsteady: pairs with more, or with a change away from every edge.{refused}"
         )
     }
 

@@ -1,4 +1,4 @@
-//! Ensures that only one daemon at a time keeps the uploads of a root.
+//! Ensures that only one server at a time keeps the uploads of a root.
 //!
 //! The claim is a lock on the root folder itself. It leaves no file behind, works where the root cannot be written, and the
 //! system releases it however the process ends. NFS locks only files that are open for writing: there, the claim is a lock on the file [`FILE`] in

@@ -1,4 +1,4 @@
-//! The workers of a daemon that has `--nats`.
+//! The workers of a server that has `--nats`.
 
 use anyhow::{Context, bail};
 use tokio::runtime::Handle;

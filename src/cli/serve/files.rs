@@ -1,4 +1,4 @@
-//! The files that the daemon loads at the start, and the root folder.
+//! The files that the server loads at the start, and the root folder.
 
 use std::path::{Path, PathBuf};
 

@@ -1,4 +1,4 @@
-//! Messages on standard output after the daemon has started.
+//! Messages on standard output after the server has started.
 
 use std::io::Write;
 use std::net::SocketAddr;
@@ -35,7 +35,7 @@ fn reachable(mut address: SocketAddr) -> SocketAddr {
     address
 }
 
-/// Prints a text. The daemon goes on if its output was closed.
+/// Prints a text. The server goes on if its output was closed.
 pub fn tell(text: &str) {
     let mut out = std::io::stdout().lock();
     let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());

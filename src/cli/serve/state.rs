@@ -1,4 +1,4 @@
-//! The daemon's state folder: its place, its limits, and locking it.
+//! The server's state folder: its place, its limits, and locking it.
 
 use anyhow::ensure;
 
@@ -58,7 +58,7 @@ pub(super) fn open_jobs(
             tracing::warn!(%error, "jobs are disabled");
             // Clients must not learn where the server keeps its files.
             let reason = match error {
-                StateError::Locked { .. } => "another running daemon uses the state folder",
+                StateError::Locked { .. } => "another running server uses the state folder",
                 _ => "the state folder cannot be used; the server's log says why",
             };
             Ok(Err(reason.to_owned()))

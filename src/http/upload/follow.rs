@@ -1,4 +1,4 @@
-//! Serves the uploads that another daemon keeps in the same root.
+//! Serves the uploads that another server keeps in the same root.
 //!
 //! ```text
 //! keeper     POST ──► uploads/ID/ ──load──► its record says `was_loaded`
@@ -6,9 +6,9 @@
 //! follower                                        └──► load; remove once the folder is gone or is another upload's
 //! ```
 //!
-//! One daemon keeps the uploads: it counts quotas, writes records and finds out whether a file takes its loader down. Followers
-//! only read, so the daemons need no lock and no protocol between them, and a folder on a network file system will do. A follower
-//! serves an upload once the keeper has loaded it. Changes of nodes are not in the files, so they stay with the daemon that made
+//! One server keeps the uploads: it counts quotas, writes records and finds out whether a file takes its loader down. Followers
+//! only read, so the servers need no lock and no protocol between them, and a folder on a network file system will do. A follower
+//! serves an upload once the keeper has loaded it. Changes of nodes are not in the files, so they stay with the server that made
 //! them.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
@@ -35,12 +35,12 @@ const LONGEST_STEP: Duration = Duration::from_secs(30);
 const FIRST_PAUSE: Duration = Duration::from_secs(2);
 const LONGEST_PAUSE: Duration = Duration::from_secs(300);
 
-/// Ways in which a daemon treats uploads.
+/// Ways in which a server treats uploads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Uploads {
     /// It accepts uploads and keeps them below its root.
     Kept,
-    /// It refuses uploads, and serves those that another daemon keeps.
+    /// It refuses uploads, and serves those that another server keeps.
     Followed,
     /// It refuses uploads.
     Refused,
@@ -54,7 +54,7 @@ impl Uploads {
     /// Returns whether clients may upload.
     ///
     /// # Errors
-    /// This daemon takes no uploads.
+    /// This server takes no uploads.
     pub fn accepted(self) -> Result<(), Problem> {
         let (detail, accepted) = match self {
             Uploads::Kept => return Ok(()),
@@ -198,19 +198,19 @@ fn is_gone(error: &io::Error) -> bool {
     matches!(error.kind(), NotFound | NotADirectory | InvalidData | UnexpectedEof)
 }
 
-/// Returns whether an unknown scene is an upload that this daemon follows and is about to load.
+/// Returns whether an unknown scene is an upload that this server follows and is about to load.
 pub fn is_coming(app: &App, id: &str) -> bool {
     let root = &app.settings.root;
     app.settings.uploads == Uploads::Followed
         && in_place(|| holds(root, id) && matches!(read(root, id), Ok(Some(_))))
 }
 
-/// Returns whether a scene is an upload that this daemon follows.
+/// Returns whether a scene is an upload that this server follows.
 pub fn is_followed(app: &App, id: &str) -> bool {
     app.settings.uploads == Uploads::Followed && app.uploads.owner(id).is_some()
 }
 
-/// Refuses to remove an upload that another daemon keeps.
+/// Refuses to remove an upload that another server keeps.
 ///
 /// # Errors
 /// The scene is such an upload.

@@ -43,7 +43,7 @@ pub async fn load(
     let engine: Engine = app.engine.clone();
     let (id, root) = (reservation.id().to_owned(), app.settings.root.clone());
     let (file, admission) = (source.clone(), reservation.admission().clone());
-    // Without uploads, the folder of uploads may belong to another daemon.
+    // Without uploads, the folder of uploads may belong to another server.
     let records = app.settings.uploads.are_kept();
     let outcome = tokio::task::spawn_blocking(move || {
         if records {

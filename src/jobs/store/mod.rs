@@ -1,7 +1,7 @@
 //! The state folder: everything that outlives a process, and all disk access of jobs.
 //!
 //! ```text
-//! STATE/.lock             held by the daemon that uses this folder
+//! STATE/.lock             held by the server that uses this folder
 //! STATE/jobs.redb         a record for each job (redb: every change is atomic)
 //! STATE/jobs/7/job.json   specification of job 7: enough to recover the job if the database is lost
 //! STATE/jobs/7/frames/    see `film`
@@ -43,7 +43,7 @@ const FOLDERS: &str = "jobs";
 /// Why a state folder cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum StateError {
-    #[error("another running daemon uses the state folder {}; give this daemon its own folder with --state", folder.display())]
+    #[error("another running server uses the state folder {}; give this server its own folder with --state", folder.display())]
     Locked { folder: PathBuf },
     #[error("cannot use the state folder {}: {}: {error}", folder.display(), file.display())]
     Io { folder: PathBuf, file: PathBuf, error: io::Error },

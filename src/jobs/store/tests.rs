@@ -85,7 +85,7 @@ fn a_folder_is_one_process_at_a_time() {
     let first = open(at.path());
     let second = Store::open(at.path(), 0).err().unwrap();
     assert!(matches!(second, StateError::Locked { .. }));
-    assert!(second.to_string().contains("another running daemon"), "{second}");
+    assert!(second.to_string().contains("another running server"), "{second}");
     drop(first);
     open(at.path());
     let file = at.path().join("file");

@@ -124,7 +124,7 @@ fn two_daemons_do_not_share_a_state_folder() {
     assert!(
         !output.status.success()
             && told.contains("--state")
-            && told.contains("another running daemon"),
+            && told.contains("another running server"),
         "{told}"
     );
     ended(&client, &create(&client, json!({"to": 2})), "done");
@@ -140,7 +140,7 @@ fn two_daemons_do_not_share_a_state_folder() {
         (&off["status"], &off["type"]),
         (&json!(503), &json!("urn:pointillist:problem:jobs-off"))
     );
-    assert!(off["detail"].as_str().unwrap().contains("another running daemon"), "{off}");
+    assert!(off["detail"].as_str().unwrap().contains("another running server"), "{off}");
     assert!(!off["detail"].as_str().unwrap().contains(states.path().to_str().unwrap()), "{off}");
     assert!(second.log().contains("jobs are disabled"), "{}", second.log());
     assert_eq!(second.client().post_json("/v1/jobs", &body(json!({}))).status, 503);
