@@ -10,8 +10,11 @@ fn lit(color: vec3<f32>, normal: vec3<f32>, ball: bool, over_plus_one: u32, slot
     if OVERRIDES {
         material = effective_material(material, over_plus_one);
     }
-    if (material.flags & MATERIAL_UNLIT) != 0u || (all(normal == vec3<f32>(0.0)) && !ball) {
+    if (material.flags & MATERIAL_UNLIT) != 0u {
         return color;
+    }
+    if all(normal == vec3<f32>(0.0)) && !ball {
+        return clamp(color + emitted(material), vec3<f32>(0.0), vec3<f32>(1.0));
     }
     let place = from_origin(camera_place(splat_centre(slot, sample)));
     if ball {

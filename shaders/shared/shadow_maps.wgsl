@@ -35,15 +35,25 @@ fn map_at(number: u32) -> ShadowMap {
     return map;
 }
 
-// The finest map of a sun that shows a place and its surroundings. `sun`: its number, counted from 1.
+// The distance of a place to the edge of a sun's map in pixels, as far as it counts. Below 0 outside of the map.
+fn inset(map: ShadowMap, place: vec3<f32>) -> f32 {
+    let at = vec2<f32>(dot(map.x.xyz, place) + map.x.w, dot(map.y.xyz, place) + map.y.w);
+    let nearest = min(at, vec2<f32>(f32(map.side)) - at);
+    return min(min(nearest.x, nearest.y), MARGIN_PX);
+}
+
+// The finest map of a sun that shows a place and its surroundings. Where none shows them all, the map that shows most: a coarser map covers only what is
+// farther from the eye. `sun`: its number, counted from 1.
 fn sun_map(sun: u32, place: vec3<f32>) -> ShadowMap {
     let first = (sun - 1u) * SUN_MAPS;
     var found = map_at(first + SUN_MAPS - 1u);
+    var most = inset(found, place);
     for (var i = 2u; i <= SUN_MAPS; i++) {
         let map = map_at(first + SUN_MAPS - i);
-        let at = vec2<f32>(dot(map.x.xyz, place) + map.x.w, dot(map.y.xyz, place) + map.y.w);
-        if all(at > vec2<f32>(MARGIN_PX)) && all(at < vec2<f32>(f32(map.side) - MARGIN_PX)) {
+        let here = inset(map, place);
+        if here >= most {
             found = map;
+            most = here;
         }
     }
     return found;

@@ -16,7 +16,7 @@ mod store;
 mod unfinished;
 mod work;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -134,8 +134,8 @@ struct Running {
 #[derive(Default)]
 struct Book {
     running: Option<Running>,
-    /// How the latest survey of a scene ended, where it was not done.
-    ended: BTreeMap<String, State>,
+    /// How the latest survey of a scene ended, where it left no results. The latest is the last.
+    ended: VecDeque<(String, State)>,
     kept: BTreeMap<String, Arc<Kept>>,
     is_closed: bool,
 }
@@ -247,8 +247,8 @@ impl Surveys {
                     State::Running(progress.clone())
                 }
                 Some(Running { fate: Fate::Cancelled, .. }) => State::Cancelled,
-                _ => match book.ended.get(scene) {
-                    Some(ended) => ended.clone(),
+                _ => match book.ended.iter().find(|(ended, _)| ended == scene) {
+                    Some((_, state)) => state.clone(),
                     None if kept.is_some() => State::Done,
                     None => return None,
                 },
@@ -274,7 +274,7 @@ impl Surveys {
             self.0.unfinished.remove_of(scene);
         }
         let mut book = self.0.book.lock();
-        let had_ended = book.ended.remove(scene).is_some();
+        let had_ended = book.forget_end(scene);
         let had_results = book.kept.remove(scene).is_some();
         drop(book);
         if had_results {
@@ -301,7 +301,30 @@ impl Surveys {
     }
 }
 
+impl Book {
+    /// Notes how the latest survey of a scene ended. Of too many, the oldest is forgotten.
+    fn end(&mut self, scene: &str, state: State) {
+        self.forget_end(scene);
+        self.ended.push_back((scene.to_owned(), state));
+        if self.ended.len() > MOST_KEPT {
+            self.ended.pop_front();
+        }
+    }
+
+    /// Forgets how the latest survey of a scene ended. Returns whether it was known.
+    fn forget_end(&mut self, scene: &str) -> bool {
+        let before = self.ended.len();
+        self.ended.retain(|(ended, _)| ended != scene);
+        self.ended.len() < before
+    }
+}
+
 impl Shared {
+    fn is_wanted(&self) -> bool {
+        let book = self.book.lock();
+        book.running.as_ref().is_some_and(|running| running.fate == Fate::Wanted)
+    }
+
     /// Ends the running survey if it is that of a scene. Returns whether it was.
     fn end(&self, scene: &str, fate: Fate) -> bool {
         let mut book = self.book.lock();
@@ -333,20 +356,21 @@ impl Shared {
         });
         admission.shrink_to(0);
         // Written before the survey counts as ended: whoever sees it done finds the file.
-        let (is_wanted, is_closed) = {
-            let book = self.book.lock();
-            let running = book.running.as_ref();
-            (running.is_some_and(|running| running.fate == Fate::Wanted), book.is_closed)
-        };
+        let is_wanted = self.is_wanted();
+        let is_closed = self.book.lock().is_closed;
         let goes_on = is_wanted && is_closed && matches!(measured, Err(State::Cancelled));
         let (state, kept) = match measured {
             Ok(Outcome::Results(kept)) => (State::Done, Some(Arc::new(kept))),
-            Ok(Outcome::Planner(measured)) if is_wanted => {
-                // A scene that was deleted meanwhile has nothing to learn.
-                let _ = self.engine.learn(scene, measured);
-                (State::Done, None)
+            Ok(Outcome::Planner(measured, mark)) => {
+                let is_same = || self.engine.scene_mark(scene) == mark;
+                let learned =
+                    self.engine.learn_if(scene, measured, || is_same() && self.is_wanted());
+                match learned {
+                    Ok(Some(_)) => (State::Done, None),
+                    _ if !is_same() => (State::Failed(Failure::SceneChanged), None),
+                    _ => (State::Cancelled, None),
+                }
             }
-            Ok(Outcome::Planner(_)) => (State::Cancelled, None),
             Err(state) => (state, None),
         };
         tracing::info!(scene, ?state, "accuracy measured");
@@ -364,7 +388,7 @@ impl Shared {
         let mut left_over = Vec::new();
         match (fate, kept) {
             (Fate::Wanted, Some(kept)) => {
-                book.ended.remove(scene);
+                book.forget_end(scene);
                 book.kept.insert(scene.to_owned(), kept);
                 let oldest = book.kept.values().min_by_key(|kept| kept.since_ms);
                 let oldest = oldest.map(|kept| kept.scene.clone());
@@ -373,11 +397,11 @@ impl Shared {
                     left_over.push(oldest);
                 }
             }
-            (Fate::Wanted, None) => {
-                book.ended.insert(scene.to_owned(), state);
-            }
+            (Fate::Wanted, None) => book.end(scene, state),
+            // A cancellation that came once the planner had the measurements was too late.
+            (Fate::Cancelled, None) if state == State::Done => book.end(scene, state),
             (Fate::Cancelled, kept) => {
-                book.ended.insert(scene.to_owned(), State::Cancelled);
+                book.end(scene, State::Cancelled);
                 // The file of earlier results was replaced meanwhile.
                 if kept.is_some()
                     && let Some(earlier) = book.kept.get(scene).cloned()
@@ -386,9 +410,6 @@ impl Shared {
                 }
             }
             (Fate::Forgotten, _) => left_over.push(scene.to_owned()),
-        }
-        while book.ended.len() > MOST_KEPT {
-            book.ended.pop_first();
         }
         drop(book);
         left_over.iter().for_each(|scene| self.store.remove(scene));

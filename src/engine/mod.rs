@@ -286,45 +286,6 @@ impl Engine {
         Ok(())
     }
 
-    /// Takes on measured frames of a scene, from which settings are chosen for requests with a goal. They are kept beside the point trees.
-    /// Returns the number of settings that can be chosen.
-    ///
-    /// # Errors
-    /// [`EngineError::UnknownScene`].
-    pub fn learn(&self, id: &str, measured: Measured) -> Result<usize, EngineError> {
-        let state = self.state();
-        Ok(state.planners.learn(state, &*state.loaded(id)?, measured))
-    }
-
-    /// Forgets what [`Engine::learn`] took on. Returns whether there was anything.
-    ///
-    /// # Errors
-    /// [`EngineError::UnknownScene`].
-    pub fn unlearn(&self, id: &str) -> Result<bool, EngineError> {
-        let state = self.state();
-        Ok(state.planners.forget(state, &*state.loaded(id)?))
-    }
-
-    /// The settings for the frames of a film: the goal of the requests is kept by all of them. `None` for requests without a goal.
-    ///
-    /// # Errors
-    /// Any error of a request.
-    pub fn settings_for_all(
-        &self,
-        requests: &[FrameRequest],
-    ) -> Result<Option<Settings>, EngineError> {
-        resolve::settings_for_all(self.state(), requests)
-    }
-
-    /// Numbers of settings and poses that were measured of this content of a scene on this adapter; `None` without measurements.
-    ///
-    /// # Errors
-    /// [`EngineError::UnknownScene`].
-    pub fn planner_size(&self, id: &str) -> Result<Option<[usize; 2]>, EngineError> {
-        let state = self.state();
-        Ok(state.planners.size(state, &*state.loaded(id)?))
-    }
-
     pub fn scenes(&self) -> Vec<SceneInfo> {
         self.state().library.read().all().iter().map(|loaded| self.info(loaded)).collect()
     }

@@ -14,9 +14,9 @@ use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use super::FrameRequest;
 use super::loaded::Loaded;
 use super::state::EngineState;
+use super::{Engine, EngineError, FrameRequest, resolve};
 use crate::bake::cache::BakeCache;
 use crate::bake::pack::GeometryKind;
 use crate::math::View;
@@ -202,17 +202,27 @@ impl Planners {
         Some([known.planner.len(), known.measured.poses.len()])
     }
 
-    /// Takes on measurements of a scene's present content. Returns the number of settings that can be chosen.
-    pub fn learn(&self, state: &EngineState, loaded: &Loaded, measured: Measured) -> usize {
+    /// Takes on measurements of a scene's present content, if they are still wanted once they are fitted. Returns the number of settings that can be
+    /// chosen.
+    fn learn(
+        &self,
+        state: &EngineState,
+        loaded: &Loaded,
+        measured: Measured,
+        is_wanted: impl FnOnce() -> bool,
+    ) -> Option<usize> {
         let known = Known::new(key(state, &loaded.digest), loaded, measured);
-        self.replace(known).planner.len()
+        Some(self.replace(known, is_wanted)?.planner.len())
     }
 
-    /// Takes on measurements, in memory and as a note.
-    fn replace(&self, known: Known) -> Arc<Known> {
+    /// Takes on measurements, in memory and as a note. Whoever forgets them afterwards finds both.
+    fn replace(&self, known: Known, is_wanted: impl FnOnce() -> bool) -> Option<Arc<Known>> {
         let _notes = self.notes.lock();
+        if !is_wanted() {
+            return None;
+        }
         known.write(self.cache.as_ref(), Paces::default());
-        self.keep(known)
+        Some(self.keep(known))
     }
 
     /// Forgets the measurements that a scene uses. Returns whether there were any.
@@ -364,6 +374,61 @@ impl PlannedFrame {
     }
 }
 
+impl Engine {
+    /// Takes on measured frames of a scene, from which settings are chosen for requests with a goal. They are kept beside the point trees.
+    /// Returns the number of settings that can be chosen.
+    ///
+    /// # Errors
+    /// [`EngineError::UnknownScene`].
+    pub fn learn(&self, id: &str, measured: Measured) -> Result<usize, EngineError> {
+        Ok(self.learn_if(id, measured, || true)?.unwrap_or(0))
+    }
+
+    /// Takes on measured frames like [`Engine::learn`], if they are still wanted once models are fitted to them. Fitting takes a while. `None` where they
+    /// are not.
+    ///
+    /// # Errors
+    /// [`EngineError::UnknownScene`].
+    pub fn learn_if(
+        &self,
+        id: &str,
+        measured: Measured,
+        is_wanted: impl FnOnce() -> bool,
+    ) -> Result<Option<usize>, EngineError> {
+        let state = self.state();
+        Ok(state.planners.learn(state, &*state.loaded(id)?, measured, is_wanted))
+    }
+
+    /// Forgets what [`Engine::learn`] took on. Returns whether there was anything.
+    ///
+    /// # Errors
+    /// [`EngineError::UnknownScene`].
+    pub fn unlearn(&self, id: &str) -> Result<bool, EngineError> {
+        let state = self.state();
+        Ok(state.planners.forget(state, &*state.loaded(id)?))
+    }
+
+    /// The settings for frames that belong together, as those of a film: the goal of the requests is kept by all of them. `None` for requests without a goal.
+    ///
+    /// # Errors
+    /// Any error of a request.
+    pub fn settings_for_all(
+        &self,
+        requests: &[FrameRequest],
+    ) -> Result<Option<Settings>, EngineError> {
+        resolve::settings_for_all(self.state(), requests)
+    }
+
+    /// Numbers of settings and poses that were measured of this content of a scene on this adapter; `None` without measurements.
+    ///
+    /// # Errors
+    /// [`EngineError::UnknownScene`].
+    pub fn planner_size(&self, id: &str) -> Result<Option<[usize; 2]>, EngineError> {
+        let state = self.state();
+        Ok(state.planners.size(state, &*state.loaded(id)?))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -405,10 +470,10 @@ mod tests {
             let pace = known.pace.lock();
             assert_eq!(pace.unwritten, 0, "frames with less work tell nothing");
         };
-        let old = planners.replace(known(1));
+        let old = planners.replace(known(1), || true).unwrap();
         draw_many(&old);
         assert_eq!(noted(), Some((1, true)));
-        let new = planners.replace(known(2));
+        let new = planners.replace(known(2), || true).unwrap();
         draw_many(&old);
         assert_eq!(noted(), Some((2, false)), "it was replaced");
         draw_many(&new);
@@ -417,7 +482,9 @@ mod tests {
         draw_many(&new);
         assert_eq!(noted(), None, "it was removed");
         // Another process finds the note with its grounds.
-        planners.replace(known(3));
+        assert!(planners.replace(known(4), || false).is_none());
+        assert_eq!(noted(), None, "it was no longer wanted");
+        planners.replace(known(3), || true).unwrap();
         let found = Planners::new(Some(cache)).find([7; 32]).unwrap();
         assert_eq!(found.grounds, known(3).grounds);
     }

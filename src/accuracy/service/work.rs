@@ -10,7 +10,7 @@ use crate::accuracy::planning::Planning;
 use crate::accuracy::results::Results;
 use crate::accuracy::survey::{Event, Purpose, Survey, SurveyError};
 use crate::accuracy::{date, sweep};
-use crate::engine::{Client, EngineError, FrameRequest, Pose};
+use crate::engine::{Client, EngineError, FrameRequest, Pose, SceneMark};
 use crate::plan::Extent;
 use crate::plan::planner::Measured;
 
@@ -22,7 +22,8 @@ const SEED: u64 = 1;
 /// What was measured.
 pub(super) enum Outcome {
     Results(Kept),
-    Planner(Measured),
+    /// Frames for the planner, and the content that they show.
+    Planner(Measured, Option<SceneMark>),
 }
 
 impl Shared {
@@ -40,7 +41,8 @@ impl Shared {
         let mark = engine.scene_mark(scene);
         let has_changed = || engine.scene_mark(scene) != mark;
         let measured = if wanted.is_for_planner {
-            self.plan(scene, wanted, stop, &has_changed).map(Outcome::Planner)
+            self.plan(scene, wanted, stop, &has_changed)
+                .map(|measured| Outcome::Planner(measured, mark))
         } else {
             self.survey(scene, wanted, stop, &has_changed).map(Outcome::Results)
         };
