@@ -5,6 +5,7 @@
 //! centre of a pixel may it show something else (`pair`).
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::{DQuat, DVec3};
@@ -12,8 +13,10 @@ use serde::Serialize;
 
 use super::sweep::Row;
 use crate::encode::ImageFormat;
-use crate::engine::{Engine, EngineError, FrameRequest, FrameTicket, Pose, SceneInfo};
-use crate::math::{Camera, Lens};
+use crate::engine::{
+    EncodedFrame, Engine, EngineError, FrameRequest, FrameTicket, Pose, SceneInfo,
+};
+use crate::math::{Bounds, Camera, Lens, View};
 use crate::plan::{Output, Settings};
 use crate::scene::random::SplitMix64;
 
@@ -25,6 +28,8 @@ use pair::{Judgement, Pair};
 pub const SIZE: [u32; 2] = [96, 72];
 /// The step between a pose and its neighbour, in pixels.
 const STEP_PX: f64 = 1e-3;
+/// Rounding of a view-space coordinate: one unit in the last place of an `f32`.
+const ROUNDING: f64 = f32::EPSILON as f64;
 /// Poses with the same settings that are drawn together.
 pub const AT_ONCE: u32 = 16;
 /// Broken views of a scene that are listed.
@@ -129,7 +134,7 @@ impl Sweep<'_> {
             group += 1;
             told(self.views - left);
         }
-        found.holds = found.views > 0 && found.not_finite == 0 && found.unsteady == 0;
+        found.holds = found.not_finite == 0 && found.unsteady == 0;
         Ok(found)
     }
 
@@ -153,38 +158,24 @@ impl Sweep<'_> {
             quality: 100,
             deadline: None,
         };
-        let moved: Vec<Camera> = cameras.iter().map(|camera| beside(camera, random)).collect();
-        let tickets: Vec<[Result<FrameTicket, EngineError>; 4]> = cameras
+        let submit = |camera: &Camera, output| self.engine.submit(request(*camera, output));
+        let tickets: Vec<_> = cameras
             .iter()
-            .zip(&moved)
-            .map(|(camera, moved)| {
-                [
-                    (camera, Output::Color),
-                    (moved, Output::Color),
-                    (camera, Output::Depth),
-                    (camera, Output::Normal),
-                ]
-                .map(|(camera, output)| self.engine.submit(request(*camera, output)))
+            .map(|camera| {
+                [Output::Depth, Output::Color, Output::Normal].map(|output| submit(camera, output))
             })
             .collect();
-        for ((camera, moved), tickets) in cameras.iter().zip(&moved).zip(tickets) {
-            let frames = tickets.map(|ticket| ticket.and_then(FrameTicket::wait));
-            let [Ok(first), Ok(second), Ok(depth), Ok(normal)] = frames else {
-                let error = frames.into_iter().find_map(Result::err);
-                let error = error.unwrap_or(EngineError::Internal("no frame".to_owned()));
-                let is_refused = matches!(
-                    error,
-                    EngineError::BadParameter { .. } | EngineError::OverLimit { .. }
-                );
-                if !is_refused {
-                    return Err(error);
-                }
-                *found.refused.entry(error.to_string()).or_default() += 1;
-                continue;
-            };
+        let mut firsts = Vec::with_capacity(cameras.len());
+        for (camera, tickets) in cameras.iter().zip(tickets) {
+            let Some([depth, first, normal]) = found.drawn(tickets)? else { continue };
+            let moved = beside(camera, nearest(depth.bytes.as_chunks().0), random);
+            firsts.push((camera, moved, [depth, first, normal], submit(&moved, Output::Color)));
+        }
+        for (camera, moved, [depth, first, normal], second) in firsts {
+            let Some([second]) = found.drawn([second])? else { continue };
             let [first, second, depth, normal] =
                 [&first, &second, &depth, &normal].map(|frame| frame.bytes.as_chunks().0);
-            let views = [camera, moved].map(|camera| camera.view(SIZE[0], SIZE[1]));
+            let views = [camera, &moved].map(|camera| camera.view(SIZE[0], SIZE[1]));
             let [Ok(view), Ok(beside)] = &views else {
                 return Err(EngineError::Internal("a pose that was drawn has no view".to_owned()));
             };
@@ -194,15 +185,38 @@ impl Sweep<'_> {
                 normals: normal,
                 views: [view, beside],
                 parts: settings.parts(),
+                rounding_px: view.focal_px * (ROUNDING * reach(scene, view)),
                 error_px: settings.accepted_px_of_trees().map_or(0, |error| error.ceil() as usize),
             };
-            found.add(&row.label, [camera, moved], pair.judge());
+            found.add(&row.label, [camera, &moved], pair.judge());
         }
         Ok(())
     }
 }
 
 impl Steadiness {
+    /// Waits for frames of a view. `None` if the engine refuses one of them, which is counted.
+    fn drawn<const N: usize>(
+        &mut self,
+        tickets: [Result<FrameTicket, EngineError>; N],
+    ) -> Result<Option<[Arc<EncodedFrame>; N]>, EngineError> {
+        let mut frames = Vec::with_capacity(N);
+        let mut refused = None;
+        for ticket in tickets {
+            match ticket.and_then(FrameTicket::wait) {
+                Ok(frame) => frames.push(frame),
+                Err(error @ (EngineError::BadParameter { .. } | EngineError::OverLimit { .. })) => {
+                    refused = Some(error)
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        if let Some(error) = refused {
+            *self.refused.entry(error.to_string()).or_default() += 1;
+        }
+        Ok(frames.try_into().ok())
+    }
+
     /// Counts a view and the one beside it.
     fn add(&mut self, settings: &str, views: [&Camera; 2], judgement: Judgement) {
         let Judgement { changed, allowed, away, odd_depths, odd_normals } = judgement;
@@ -274,8 +288,24 @@ fn camera(scene: &SceneInfo, random: &mut SplitMix64) -> Camera {
     Camera { eye, target, up: direction(random), lens }
 }
 
-/// The view turned by [`STEP_PX`] to some side, or moved by as much where its rays are parallel.
-fn beside(camera: &Camera, random: &mut SplitMix64) -> Camera {
+/// The least positive depth of a frame.
+fn nearest(depths: &[[u8; 4]]) -> Option<f64> {
+    let depths = depths.iter().map(|bytes| f64::from(f32::from_le_bytes(*bytes)));
+    depths.filter(|depth| *depth > 0.0 && depth.is_finite()).reduce(f64::min)
+}
+
+/// The largest coordinate, beside the optical axis, that decides where something is seen. In perspective, coordinates count in units of the depth.
+fn reach(scene: &SceneInfo, view: &View) -> f64 {
+    if !view.is_orthographic() {
+        return 1.0;
+    }
+    let [min, max] = scene.bounds.unwrap_or_default().map(DVec3::from);
+    let aside = |corner: DVec3| view.to_view(corner).truncate().abs().max_element();
+    Bounds { min, max }.corners().map(aside).into_iter().fold(0.0, f64::max)
+}
+
+/// The view moved to some side by [`STEP_PX`] at the `nearest` depth, or turned by as much. Where its rays are parallel, all depths move alike.
+fn beside(camera: &Camera, nearest: Option<f64>, random: &mut SplitMix64) -> Camera {
     let way = camera.target - camera.eye;
     let aside = direction(random).reject_from(way).normalize_or(DVec3::X);
     let height = f64::from(SIZE[1]);
@@ -286,6 +316,10 @@ fn beside(camera: &Camera, random: &mut SplitMix64) -> Camera {
         }
         Lens::Perspective { fov_deg } => {
             let pixel = 2.0 * (0.5 * fov_deg.to_radians()).tan() / height;
+            if let Some(depth) = nearest.filter(|_| random.chance(0.5)) {
+                let step = aside * (depth * pixel * STEP_PX);
+                return Camera { eye: camera.eye + step, target: camera.target + step, ..*camera };
+            }
             let turn = DQuat::from_axis_angle(aside, pixel * STEP_PX);
             Camera { target: camera.eye + turn * way, ..*camera }
         }
@@ -331,7 +365,7 @@ mod tests {
     /// The step moves the middle of the image by a thousandth of a pixel, whatever the lens.
     #[test]
     fn neighbours_are_a_small_step_aside() {
-        let mut random = SplitMix64::new(7);
+        let (mut random, mut moves) = (SplitMix64::new(7), 0);
         for lens in [
             Lens::Perspective { fov_deg: 0.05 },
             Lens::Perspective { fov_deg: 150.0 },
@@ -339,10 +373,16 @@ mod tests {
         ] {
             let camera =
                 Camera { eye: DVec3::new(3.0, 1.0, 5.0), target: DVec3::ONE, up: DVec3::Y, lens };
-            let moved = beside(&camera, &mut random).view(SIZE[0], SIZE[1]).unwrap();
-            let seen = moved.project(moved.to_view(camera.target)).unwrap();
-            let step = (seen - moved.principal_px).length();
-            assert!((step / STEP_PX - 1.0).abs() < 0.01, "{lens:?}: {step}");
+            let distance = camera.eye.distance(camera.target);
+            for _ in 0..10 {
+                let moved = beside(&camera, Some(distance), &mut random);
+                let view = moved.view(SIZE[0], SIZE[1]).unwrap();
+                let seen = view.project(view.to_view(camera.target)).unwrap();
+                let step = (seen - view.principal_px).length();
+                assert!((step / STEP_PX - 1.0).abs() < 0.01, "{lens:?}: {step}");
+                moves += usize::from(moved.eye != camera.eye);
+            }
         }
+        assert!((12..30).contains(&moves), "of 20 in perspective some turn: {moves}");
     }
 }

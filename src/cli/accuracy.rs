@@ -394,6 +394,14 @@ fn check_stability(args: &AccuracyArgs) -> Result<()> {
     if !unsteady.is_empty() {
         bail!("frames of these scenes are not steady: {}", unsteady.join("; "));
     }
+    let blank = report.scenes.iter().filter(|found| found.views == 0);
+    let blank: Vec<&str> = blank.map(|found| found.scene.as_str()).collect();
+    if !blank.is_empty() {
+        bail!(
+            "nothing was compared of these scenes: {}; the report has the reasons",
+            blank.join("; ")
+        );
+    }
     Ok(())
 }
 

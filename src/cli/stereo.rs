@@ -69,12 +69,18 @@ pub fn run(args: StereoArgs) -> anyhow::Result<()> {
     for warning in &info.warnings {
         say!("warning: {warning}");
     }
-    let (distance, apart) = eyes(&engine, &request, args.eye_distance)?;
+    let (distance, apart) = distances(&engine, &request, args.eye_distance)?;
+    let eyes = |request: &FrameRequest| {
+        [-0.5, 0.5].map(|side| {
+            let settings = request.settings.shifted(side * apart).stereo_from(distance);
+            FrameRequest { settings, ..request.clone() }
+        })
+    };
+    // Settings for a goal are chosen once, so that both eyes see the same.
+    let settings = engine.settings_for_all(&eyes(&request))?.unwrap_or(request.settings);
+    let request = FrameRequest { settings, ..request };
     super::path::bake(&engine, &request)?;
-    let [left, right] = [-0.5, 0.5].map(|side| {
-        let settings = request.settings.shifted(side * apart).stereo_from(distance);
-        engine.submit(FrameRequest { settings, ..request.clone() })
-    });
+    let [left, right] = eyes(&request).map(|request| engine.submit(request));
     let [left, right] = [left?.wait()?, right?.wait()?];
     let [left, right] = [&left, &right].map(|frame| frame.bytes.as_chunks::<4>().0);
     let image = joined(args.layout, [request.width, request.height], left, right);
@@ -89,7 +95,11 @@ pub fn run(args: StereoArgs) -> anyhow::Result<()> {
 }
 
 /// Returns the distance of what both images show in the same place, and that between the eyes.
-fn eyes(engine: &Engine, request: &FrameRequest, apart: Option<f64>) -> anyhow::Result<(f64, f64)> {
+fn distances(
+    engine: &Engine,
+    request: &FrameRequest,
+    apart: Option<f64>,
+) -> anyhow::Result<(f64, f64)> {
     // A shift of any size finds the distance: the given one, or that of the target.
     let probe = request.settings.shifted(f64::from(f32::MIN_POSITIVE));
     let probe = engine.resolve_blocking(FrameRequest { settings: probe, ..request.clone() })?;

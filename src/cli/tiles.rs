@@ -53,6 +53,11 @@ pub fn run(args: TilesArgs) -> anyhow::Result<()> {
         "--size: {width}x{height} is too large; accepted: up to {MOST_WHOLE_PX} pixels a side"
     );
     ensure!(!request.settings.is_part(), "--part-of: this command chooses the parts itself");
+    ensure!(
+        request.settings.goal().is_none(),
+        "--budget-ms, --min-psnr-db: settings would be chosen anew for each part of the image; \
+         name settings instead, such as --lod, --reconstruct and --antialias"
+    );
     let is_pyramid = match args.file.extension().and_then(|extension| extension.to_str()) {
         Some("png") => false,
         Some("dzi") => true,

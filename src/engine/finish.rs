@@ -113,9 +113,8 @@ fn receipt(state: &EngineState, drawn: &Drawn) -> Receipt {
         planned: resolved.planned.as_ref().map(|planned| {
             // Passes that drew several frames at once do not tell the time of one.
             let ns = drawn.gpu_ns.filter(|_| drawn.views == 1);
-            // Measured frames drew the maps of their lights.
-            let draws_maps = drawn.pass_ns.iter().any(|(pass, _)| *pass == Pass::ShadowMap);
-            let is_as_measured = draws_maps || !runs(Pass::ShadowMap);
+            // Measured frames drew as many maps of their lights.
+            let is_as_measured = drawn.draws_new_maps;
             state.planners.see(planned, ns.map(|ns| ns as f64 / 1e6), is_as_measured)
         }),
         legend: drawing

@@ -24,6 +24,8 @@ pub struct Drawn {
     /// Time of every pass that ran, in order, for all `views`; `None` where the adapter cannot say.
     pub pass_ns: Vec<(Pass, Option<u64>)>,
     pub gpu_ns: Option<u64>,
+    /// As many shadow maps were drawn as for a frame at a new pose.
+    pub draws_new_maps: bool,
     pub batch_size: u32,
     /// Frames that the same dispatches drew.
     pub views: u32,
@@ -342,6 +344,8 @@ impl Renderer {
         let rest = since.saturating_sub(Duration::from_nanos(gpu_ns.unwrap_or(0)));
         let device_wait = times.before.saturating_duration_since(times.submitted).min(rest);
         let views = frames.len() as u32;
+        let shadows = group.shadows.as_ref();
+        let draws_new_maps = shadows.is_none_or(Shadows::are_those_of_a_new_pose);
         for (job, (image, stats)) in jobs.into_iter().zip(frames) {
             if stats.sums_full != 0 {
                 job.lighten();
@@ -359,6 +363,7 @@ impl Renderer {
                     stats,
                     pass_ns: pass_ns.clone(),
                     gpu_ns,
+                    draws_new_maps,
                     batch_size: times.batch_size,
                     views,
                     gpu_bytes: group.gpu_bytes,

@@ -97,6 +97,13 @@ impl Receipt {
     pub fn gpu_share_ns(&self) -> Option<u64> {
         self.gpu_ns.map(|ns| ns / u64::from(self.views.max(1)))
     }
+
+    /// The same time without the shadow maps, which the next frame from the same pose uses again.
+    pub fn gpu_share_without_maps_ns(&self) -> Option<u64> {
+        let maps = self.passes.iter().filter(|pass| pass.name == Pass::ShadowMap.name());
+        let maps: u64 = maps.filter_map(|pass| pass.gpu_ns).sum();
+        self.gpu_ns.map(|ns| ns.saturating_sub(maps) / u64::from(self.views.max(1)))
+    }
 }
 
 /// The pose as understood.

@@ -316,11 +316,7 @@ impl Renderer {
         // Groups are never empty.
         let job = &jobs[0];
         let task = self.task(jobs);
-        if job.frame.request.settings.draws_maps {
-            self.shadow_maps.remove(&task.model.id);
-            self.binds.borrow_mut().clear();
-        }
-        let shadows = self.shadows(&task, job.drawing());
+        let shadows = self.shadows(&task, job);
         let task = FrameTask { shadows, ..task };
         let exposures = &job.frame.exposures;
         if exposures.is_empty() {
@@ -398,7 +394,8 @@ impl Renderer {
     }
 
     /// The shadow maps of frames, if their lights cast shadows.
-    fn shadows(&mut self, task: &FrameTask, drawing: &Drawing) -> Option<Shadows> {
+    fn shadows(&mut self, task: &FrameTask, job: &FrameJob) -> Option<Shadows> {
+        let drawing = job.drawing();
         let frames = drawing.shadows.as_ref()?;
         let key = MapKey {
             scene: task.model.id.clone(),
@@ -409,7 +406,8 @@ impl Renderer {
             clip: task.clip,
         };
         let tasks = frames.views.iter().map(|view| key.task(*view, task)).collect();
-        let (set, sources) = self.shadow_maps.get(&self.gpu, &self.binds, key, &frames.views);
+        let (views, anew) = (&frames.views, job.frame.request.settings.draws_maps);
+        let (set, sources) = self.shadow_maps.get(&self.gpu, &self.binds, key, views, anew);
         Some(Shadows { tasks, set, sources })
     }
 

@@ -106,7 +106,8 @@ pub struct Comparison {
 /// One side of a comparison.
 #[derive(Serialize, ToSchema)]
 pub struct ComparedFrame {
-    /// GPU time of this one frame in milliseconds, without the frame of its coverage; `null` if the adapter has no timestamps.
+    /// GPU time of this one frame in milliseconds, without the frame of its coverage and without shadow maps, which both sides may share; `null` if the
+    /// adapter has no timestamps.
     gpu_ms: Option<f64>,
     /// The image as a `data:` URI, opaque; `null` with `images: false`.
     image: Option<String>,
@@ -366,7 +367,7 @@ impl Asked {
         };
         let side = |frame: &EncodedFrame, rgba| {
             let receipt = frame.receipt.clone();
-            let gpu_ms = receipt.gpu_share_ns().map(|ns| ns as f64 / 1e6);
+            let gpu_ms = receipt.gpu_share_without_maps_ns().map(|ns| ns as f64 / 1e6);
             Ok::<_, Problem>(ComparedFrame { gpu_ms, image: picture(rgba)?, receipt })
         };
         Ok(Comparison {

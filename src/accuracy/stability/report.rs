@@ -97,6 +97,7 @@ impl Stability {
             let with = |(settings, count): (&String, &u64)| format!("{settings} × {count}");
             let broken: Vec<String> = found.broken_with.iter().map(with).collect();
             let verdict = match broken.as_slice() {
+                [] if found.views == 0 => "every view was refused".to_owned(),
                 [] => "holds".to_owned(),
                 broken => format!("BROKEN: {}", broken.join(", ")),
             };

@@ -2,7 +2,7 @@
 //!
 //! The step moves the edges of the image. An edge that moves across the centre of a pixel changes the pixel, so that the number of changed pixels has an
 //! expected value: the motion, in pixels, summed over the pairs of neighbouring pixels that differ. A pixel that changes far from every edge is a fault, and so
-//! are more changed pixels than that value explains.
+//! are more changed pixels than that value explains. Where every pixel differs from the next, as in noise, only the number tells.
 
 use glam::DVec2;
 
@@ -11,9 +11,6 @@ use crate::math::View;
 
 /// Probability with which a steady pair has more changed pixels than are allowed.
 const CHANCE: f64 = 1e-8;
-/// Rounding of a view-space coordinate, as a share of the distance to the eye: one unit in the last place of an `f32`.
-const ROUNDING: f64 = 1.0 / (1 << 23) as f64;
-
 /// A frame and the colours of the one beside it, 4 bytes a pixel.
 pub struct Pair<'a> {
     pub colors: [&'a [[u8; 4]]; 2],
@@ -24,6 +21,8 @@ pub struct Pair<'a> {
     pub views: [&'a View; 2],
     /// Parts along each side of a pixel, whose mean the pixel shows.
     pub parts: u32,
+    /// Rounding of places in the image, in pixels.
+    pub rounding_px: DVec2,
     /// Pixels that an edge can lie away from what it changes: the error that the frames may have.
     pub error_px: usize,
 }
@@ -59,11 +58,12 @@ impl Pair<'_> {
         let changed: Vec<usize> =
             (0..first.len()).filter(|&at| differ(first[at], second[at])).collect();
         let (beside_edges, crossings) = self.edges();
-        let parts = f64::from(self.parts * self.parts);
+        // Columns and rows of parts are crossed as often as there are. Of 16 parts, one alone changes a pixel by 16 of 255 at most, which is not seen.
+        let each = f64::from(self.parts.pow(2).min(4));
         let is_depth = |bytes: &&[u8; 4]| f32::from_le_bytes(**bytes) >= 0.0;
         Judgement {
             // A crossing changes the pixel that an edge leaves and the one that it enters.
-            allowed: 2 * poisson_quantile(crossings * parts),
+            allowed: 2 * poisson_quantile(crossings * each),
             away: changed.iter().filter(|&&at| !beside_edges[at]).count(),
             changed: changed.len(),
             odd_depths: self.depths.len() - self.depths.iter().filter(is_depth).count(),
@@ -77,10 +77,14 @@ impl Pair<'_> {
         let mut beside = vec![false; width * height];
         let mut crossings = 0.0;
         let mut see = |at: usize, other: usize, along: fn(DVec2) -> f64| {
-            if self.colors.iter().any(|colors| differ(colors[at], colors[other])) {
+            let edges = self.colors.map(|colors| differ(colors[at], colors[other]));
+            if edges.contains(&true) {
                 beside[at] = true;
                 beside[other] = true;
-                crossings += along(self.motion(at));
+                let depth = self.depth(at).min(self.depth(other));
+                // The mean of both frames: what flickers makes edges in one of them.
+                let count = edges.into_iter().map(|is_edge| if is_edge { 0.5 } else { 0.0 });
+                crossings += count.sum::<f64>() * along(self.motion(at, depth));
             }
         };
         for at in 0..width * height {
@@ -94,16 +98,22 @@ impl Pair<'_> {
         (widened(&beside, width, self.error_px.max(1)), crossings)
     }
 
-    /// How far what a pixel shows moves along each axis, in pixels, with the rounding of its place.
-    fn motion(&self, at: usize) -> DVec2 {
+    /// Depth of what a pixel shows; infinite where that is no positive number.
+    fn depth(&self, at: usize) -> f64 {
+        let depth = f64::from(f32::from_le_bytes(self.depths[at]));
+        if depth > 0.0 && depth.is_finite() { depth } else { f64::INFINITY }
+    }
+
+    /// How far what a pixel shows at a depth moves along each axis, in pixels, with the rounding of its place.
+    fn motion(&self, at: usize, depth: f64) -> DVec2 {
         let [view, beside] = self.views;
         let width = view.width as usize;
         let centre = DVec2::new((at % width) as f64 + 0.5, (at / width) as f64 + 0.5);
-        let place = view.at_depth(view.ray(centre), 1.0);
+        let depth = if depth.is_finite() { depth } else { 1.0 };
+        let place = view.at_depth(view.ray(centre), depth);
         let world = view.eye + view.view_from_world.transpose() * place;
         let moved = beside.project(beside.to_view(world)).map_or(DVec2::ZERO, |px| px - centre);
-        let rounding = if view.is_orthographic() { DVec2::ZERO } else { view.focal_px * ROUNDING };
-        moved.abs() + rounding
+        moved.abs() + self.rounding_px
     }
 }
 
@@ -164,7 +174,9 @@ mod tests {
         let pixels = (SIZE[0] * SIZE[1]) as usize;
         let (depths, normals) = (vec![1.0f32.to_le_bytes(); pixels], vec![[0; 4]; pixels]);
         let views = [&view(0.0), &view(1e-4)];
-        Pair { colors, depths: &depths, normals: &normals, views, parts: 1, error_px }.judge()
+        let rounding_px = DVec2::ZERO;
+        Pair { colors, depths: &depths, normals: &normals, views, parts: 1, rounding_px, error_px }
+            .judge()
     }
 
     fn columns(light_from: usize) -> Vec<[u8; 4]> {
@@ -232,6 +244,7 @@ mod tests {
                 normals: &[],
                 views: [&view; 2],
                 parts: 1,
+                rounding_px: DVec2::ZERO,
                 error_px: 1,
             };
             assert_eq!(pair.judge().odd_depths, odd, "{depth}");

@@ -53,6 +53,13 @@ impl Source {
 }
 
 impl Shadows {
+    /// Whether as many maps are drawn as for a frame at a new pose: all maps of suns, which follow the view, and none of lamps.
+    pub fn are_those_of_a_new_pose(&self) -> bool {
+        let follows_view = |map: &FrameTask| map.views.iter().any(View::is_orthographic);
+        let is_drawn = |number: usize| self.sources.get(number).is_some_and(Source::is_drawn);
+        self.tasks.iter().enumerate().all(|(number, map)| follows_view(map) == is_drawn(number))
+    }
+
     /// The tasks of maps that are still to be drawn.
     pub fn drawn(&self) -> impl Iterator<Item = &FrameTask> {
         let with_source = self.tasks.iter().zip(&self.sources);
@@ -151,24 +158,32 @@ pub struct ShadowMaps {
 }
 
 impl ShadowMaps {
-    /// The maps of some views, and where those come from that are still to be made. Empties `binds` where maps are dropped,
-    /// because bind groups keep buffers alive.
+    /// The maps of some views, and where those come from that are still to be made. With `anew`, all maps of suns are: a frame at a new pose
+    /// has to draw them. Empties `binds` where maps are dropped, because bind groups keep buffers alive.
     pub fn get(
         &mut self,
         gpu: &Gpu,
         binds: &RefCell<BindCache>,
         key: MapKey,
         views: &[View],
+        anew: bool,
     ) -> (Arc<MapSet>, Vec<Source>) {
+        let is_anew = |view: &View| anew && view.is_orthographic();
         let is_whole = |kept: &Kept| kept.key == key && kept.views == views;
         self.drop_if(binds, |kept| kept.set.is_spoiled());
-        if let Some(place) = self.kept.iter().position(is_whole) {
+        let whole = self.kept.iter().position(is_whole);
+        if let Some(place) = whole.filter(|_| !views.iter().any(is_anew)) {
             let found = self.kept.remove(place);
             let set = found.set.clone();
             self.kept.push(found);
             return (set, Vec::new());
         }
-        let sources = views.iter().map(|view| self.source(&key, view)).collect();
+        let source = |view: &View| match is_anew(view) {
+            true => Source::Drawn,
+            false => self.source(&key, view),
+        };
+        let sources = views.iter().map(source).collect();
+        self.drop_if(binds, is_whole);
         let set = Arc::new(MapSet {
             maps: Buffer::storage(gpu, "shadow_maps", bytes(views)),
             stats: Buffer::storage(gpu, "shadow_stats", views.len() as u64 * STATS_BYTES),
