@@ -103,17 +103,19 @@ impl Goal {
     }
 
     /// What the chosen setting is worse by than the best that keeps the goal: decibels for a budget, a ratio of times for a PSNR. `None` where no setting
-    /// keeps it.
+    /// keeps the goal, or the chosen one does not: that promise counts as broken.
     fn lost(self, chosen: &str, all: &BTreeMap<String, (f64, f64)>) -> Option<f64> {
         let &(chosen_db, chosen_ms) = all.get(chosen)?;
         let found = match self {
             Goal::BudgetMs(budget) => {
                 let fits = all.values().filter(|(_, ms)| *ms <= budget).map(|(db, _)| *db);
-                fits.reduce(f64::max)? - chosen_db
+                let best = fits.reduce(f64::max)?;
+                (chosen_ms <= budget).then_some(best - chosen_db)?
             }
             Goal::LeastDb(least) => {
                 let keeps = all.values().filter(|(db, _)| *db >= least).map(|(_, ms)| *ms);
-                chosen_ms / keeps.reduce(f64::min)?
+                let best = keeps.reduce(f64::min)?;
+                (chosen_db >= least).then_some(chosen_ms / best)?
             }
         };
         Some(found)
@@ -136,9 +138,10 @@ struct Shot<'a> {
 }
 
 impl Shot<'_> {
+    /// Draws a frame as at a new pose, with its shadow maps.
     fn draw(&self, settings: Settings) -> anyhow::Result<Drawn> {
-        let frame =
-            self.drawing.image(self.camera, self.size, settings.complete(), ImageFormat::Raw)?;
+        let settings = Settings { draws_maps: true, ..settings.complete() };
+        let frame = self.drawing.image(self.camera, self.size, settings, ImageFormat::Raw)?;
         let color: Vec<[u8; 4]> = quads(&frame.bytes).into_iter().map(opaque).collect();
         let db = metrics::psnr_db(metrics::mse(self.truth, &color)?).unwrap_or(99.0);
         Ok(Drawn { db, ms: gpu_ms(&frame.receipt)?, receipt: frame.receipt.clone() })
