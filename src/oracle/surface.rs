@@ -113,10 +113,14 @@ pub fn at(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: usize) -
     }
 }
 
-/// Whether the material's alpha says that nothing is here.
+/// Whether the alpha of the material or of the node's colour says that nothing is here.
 pub fn is_cut_out(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: usize) -> bool {
     let item = &prepared.items[hit.item as usize];
     let Geometry::Mesh(mesh) = item.item.geometry else { return false };
+    let over = item.item.override_material;
+    if over.and_then(|over| over.base_color).is_some_and(|color| color[3] <= 0.0) {
+        return true;
+    }
     let Some(own) = item.material(mesh, hit.index) else { return false };
     let Some(cutoff) = own.alpha_cutoff else { return false };
     let corners_view = item.triangle_view(mesh, hit.index);
