@@ -20,11 +20,8 @@ override SORT: u32 = 0u;
 const SORT_OPAQUE: u32 = 1u;
 const SORT_TRANSLUCENT: u32 = 2u;
 
-// Instances may have translucent materials of their own; what has no alpha at all is not there.
+// Instances may have translucent materials of their own; what has no alpha at all is not there, whatever the output.
 fn is_of_sort(chunk: Chunk, over_plus_one: u32) -> bool {
-    if SORT == 0u {
-        return true;
-    }
     var translucent = (chunk.flags & CHUNK_TRANSLUCENT) != 0u;
     var is_clear = false;
     if over_plus_one != 0u {
@@ -34,7 +31,7 @@ fn is_of_sort(chunk: Chunk, over_plus_one: u32) -> bool {
         translucent = translucent || alpha < 1.0 || over.transmission > 0.0;
         is_clear = alpha <= 0.0;
     }
-    return translucent == (SORT == SORT_TRANSLUCENT) && !is_clear;
+    return (SORT == 0u || translucent == (SORT == SORT_TRANSLUCENT)) && !is_clear;
 }
 
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;

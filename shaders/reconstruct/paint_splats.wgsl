@@ -182,7 +182,8 @@ fn splat_of(record: u32, box: vec4<u32>, words: vec4<u32>) -> PaintedSplat {
     splat.low = box.xy;
     splat.s = bitcast<vec4<f32>>(paint_records[record]);
     splat.t = bitcast<vec4<f32>>(paint_records[record + 1u]);
-    if HIDES || SURFACES || CLIP_BOXES != 0u || splat.s.w != 0.0 {
+    // Parallel rays need the depth as well, to leave out what lies behind the eye.
+    if HIDES || SURFACES || ORTHOGRAPHIC || CLIP_BOXES != 0u || splat.s.w != 0.0 {
         splat.inverse = bitcast<vec4<f32>>(paint_records[record + 2u]);
     }
     splat.color = vec3<f32>(share_of_16(words.z), share_of_16(words.z >> 16u), share_of_16(words.w));

@@ -11,12 +11,14 @@
 @group(0) @binding(3) var<storage, read> covered: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> stats: array<Stats>;
 
-// The word of a pixel that shows `over` before what it showed, of each channel of which a part is hidden.
+// The word of a pixel that shows `over` before what it showed, of each channel of which a part is hidden. Highlights on glass are brighter
+// than the little that it hides. Over a transparent background alpha is therefore as large as the brightest channel.
 fn word_through(over: vec4<f32>, hidden: vec3<f32>, word: u32) -> u32 {
     let below = unpack4x8unorm(word).a;
-    let alpha = over.a + below * (1.0 - over.a);
-    let color = (over.rgb + below * (vec3<f32>(1.0) - hidden) * linear_color(word)) / alpha;
-    return pack4x8unorm(vec4<f32>(srgb_from_linear(color), alpha));
+    let sum = over.rgb + below * (vec3<f32>(1.0) - hidden) * linear_color(word);
+    let most = max(sum.r, max(sum.g, sum.b));
+    let alpha = min(max(over.a + below * (1.0 - over.a), most), 1.0);
+    return pack4x8unorm(vec4<f32>(srgb_from_linear(sum / alpha), alpha));
 }
 
 @compute @workgroup_size(64)
@@ -31,7 +33,8 @@ fn composite_layers(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invo
     if over.a < 1.0 - 1.0 / 512.0 && fragments[place_in(LAYERS - 1u, pixel)].y != 0u {
         atomicAdd(&stats[pixel / (frame.size_px.x * frame.size_px.y)].pixels_of_all_layers, 1u);
     }
-    if over.a <= 0.0 {
+    // What hides nothing may still give off light.
+    if over.a <= 0.0 && all(over.rgb <= vec3<f32>(0.0)) {
         return;
     }
     if TRANSMITS {

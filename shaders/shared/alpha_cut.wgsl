@@ -1,5 +1,6 @@
-// Materials with an alpha cut-off: a pixel is covered where vertex · base · texture alpha reaches it. The base colour may
-// be an override of the instance; the cut-off is always the asset's own.
+// Materials with an alpha cut-off: a pixel is covered where vertex · base · texture alpha reaches it. Cut-off and alpha are the
+// asset's own: the alpha of an instance's colour says how much is hidden of what they leave. Where the asset blends, the cut-off
+// leaves out fragments without alpha, so that there the alpha is that of the instance's colour.
 //!include shared/material
 //!include shared/colour
 //!include shared/barycentric
@@ -30,13 +31,15 @@ fn corner_uv(word: u32) -> vec2<f32> {
 
 fn alpha_test(chunk: Chunk, instance: u32, corners: vec3<u32>, a: vec3<f32>, b: vec3<f32>, c: vec3<f32>) -> AlphaTest {
     var test: AlphaTest;
-    let material = effective_material(materials[chunk.material], instances[instance].material);
+    let own = materials[chunk.material];
+    let material = effective_material(own, instances[instance].material);
     if (material.flags & MATERIAL_ALPHA_TEST) == 0u {
         return test;
     }
+    let base_alpha = select(material.base_color.a, own.base_color.a, (own.flags & MATERIAL_SOLID) != 0u);
     test.cutoff = material.alpha_cutoff;
     test.texture = material.texture;
-    test.alpha = vec3<f32>(corner_alpha(corners.x), corner_alpha(corners.y), corner_alpha(corners.z)) * material.base_color.a;
+    test.alpha = vec3<f32>(corner_alpha(corners.x), corner_alpha(corners.y), corner_alpha(corners.z)) * base_alpha;
     test.form = barycentric_forms(a, b, c);
     test.uv_a = corner_uv(corners.x);
     test.uv_b = corner_uv(corners.y);

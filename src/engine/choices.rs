@@ -7,7 +7,7 @@ use crate::bake::pack::GeometryKind;
 use crate::math::View;
 use crate::plan::auto::{self, Choice};
 use crate::plan::detail::{Costs, Detail, DetailGrounds, choose as choose_detail};
-use crate::plan::{Lod, Output, Settings};
+use crate::plan::{Lod, Settings};
 
 /// Decides how a frame with `lod=spt` is drawn. Returns the request as it is drawn, and why at full detail where the request does not ask
 /// for that.
@@ -24,7 +24,7 @@ pub fn with_detail(
     if !is_open {
         return (drawn, None);
     }
-    if loaded.facts.translucent_nodes && request.output == Output::Color {
+    if loaded.facts.translucent_nodes {
         // The asset's tree has opaque samples.
         drawn.settings.lod = Lod::Full;
         return (drawn, Some("nodes have translucent colours, which point trees lack".to_owned()));

@@ -23,7 +23,7 @@ use self::cells::{Member, cells, exponent, key, keys_of};
 use super::EngineError;
 use super::uid::next_uid;
 use crate::assets::PointCloud;
-use crate::bake::pack::{PackedAsset, PackedGeometry, PackedSamples};
+use crate::bake::pack::{ALWAYS, PackedAsset, PackedGeometry, PackedSamples};
 use crate::bake::tree::{Above, Measures, Root, build_over_instances};
 use crate::bake::{CUTOFF, circle};
 use crate::math::Bounds;
@@ -33,7 +33,7 @@ use crate::residency::model::{AssetModel, ModelInstance, SceneModel};
 use crate::residency::once::MadeOnce;
 use crate::scene::color::{linear_from_srgb, srgb_from_linear};
 
-/// Key of an instance that is no tree or has no position; it is drawn by itself.
+/// Key of an instance that no tree can stand for ([`root_of`]) or that has no position; it is drawn by itself.
 const LOOSE: u128 = u128::MAX;
 
 /// A cell of the octree and the tree over its instances.
@@ -264,8 +264,9 @@ impl Block {
 
 impl<'a> Roots<'a> {
     fn of(model: &'a SceneModel, assets: &'a [Arc<AssetModel>]) -> Roots<'a> {
-        let root = |geometry: &PackedGeometry| geometry.samples().and_then(Root::of);
-        let of_asset = |asset: &Arc<AssetModel>| asset.packed.geometries.iter().map(root).collect();
+        let of_asset = |asset: &Arc<AssetModel>| {
+            (0..asset.packed.geometries.len()).map(|geometry| root_of(asset, geometry)).collect()
+        };
         let of_geometry = assets.iter().map(of_asset).collect();
         Roots { model, meter: RunMeter::new(assets), of_geometry }
     }
@@ -274,7 +275,7 @@ impl<'a> Roots<'a> {
         &self.model.instances.runs()[member.run as usize].members[member.index as usize]
     }
 
-    /// Returns the root of an instance's tree in world space; `None` for an instance that is no tree or has no position.
+    /// Returns the root of an instance's tree in world space; `None` for an instance that no tree can stand for or that has no position.
     fn root(&self, instance: &ModelInstance) -> Option<Root> {
         let root = self.of_geometry[instance.asset][instance.geometry].as_ref()?;
         let map = &instance.world_from_geometry;
@@ -341,6 +342,25 @@ impl<'a> Roots<'a> {
         let run = Arc::new(self.meter.run(drawn));
         Ok(Block { cell, over: Some(Over { tree, order, run }), root })
     }
+}
+
+/// Returns the root of a geometry's tree; `None` for a geometry without samples, or with triangles that are drawn at any error beside them. A
+/// tree over instances has samples alone, so it would leave out these triangles.
+fn root_of(asset: &AssetModel, geometry: usize) -> Option<Root> {
+    let all = &asset.packed.geometries;
+    let beside = asset.beside.get(geometry).copied().flatten();
+    if beside.is_some_and(|beside| has_lasting(&all[beside])) {
+        return None;
+    }
+    all[geometry].samples().and_then(Root::of)
+}
+
+/// Returns whether some triangles of a mesh beside samples are drawn at any error.
+fn has_lasting(geometry: &PackedGeometry) -> bool {
+    let PackedGeometry::Triangles(mesh) = geometry else { return false };
+    // Sides are packed in cells of the grid.
+    let always = (ALWAYS / mesh.grid.step as f32).min(ALWAYS);
+    mesh.chunks.iter().any(|chunk| chunk.range.error_parent >= always)
 }
 
 /// Returns an upper bound of the largest singular value of a map, the longest that it makes a unit vector.

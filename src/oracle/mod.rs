@@ -270,10 +270,11 @@ fn colors(prepared: &Prepared<'_>, view: &View, fineness: u32, centres: &[Shown]
     }
     if prepared.has_translucent() {
         let layers = visibility::layers(prepared, &fine_view);
+        let transmits = prepared.transmits();
         let pixels = fine.par_iter_mut().zip(shown).zip(&layers).enumerate();
         pixels.for_each(|(i, ((color, shown), layers))| {
             let (x, y) = (i % fine_width, i / fine_width);
-            composite(prepared, &fine_view, color, shown, layers, (x, y));
+            composite(prepared, &fine_view, color, (shown, transmits), layers, (x, y));
         });
     }
     if n > 1 { box_filter(&fine, view, n) } else { fine }
@@ -347,12 +348,13 @@ fn edl_factors(prepared: &Prepared<'_>, view: &View, centres: &[Shown]) -> Vec<f
 }
 
 /// Lays the translucent hits of a pixel before what is shown over its colour (Porter & Duff 1984, *over*), each channel by what it hides of that
-/// channel. The colour below them is that of an image: clamped to 0..=1.
+/// channel. The colour below them is that of an image: clamped to 0..=1. `transmits`: some surface of the scene lets light pass, and highlights that
+/// are brighter than what such surfaces hide make the pixel hide more.
 fn composite(
     prepared: &Prepared<'_>,
     view: &View,
     color: &mut [f64; 4],
-    shown: &Shown,
+    (shown, transmits): (&Shown, bool),
     layers: &[Hit],
     (x, y): (usize, usize),
 ) {
@@ -374,16 +376,19 @@ fn composite(
         }
     }
     let hidden = 1.0 - left.iter().sum::<f64>() / 3.0;
-    if hidden <= 0.0 {
+    if hidden <= 0.0 && sum.iter().all(|&light| light <= 0.0) {
         return;
     }
     let below = color[3].clamp(0.0, 1.0);
-    let alpha = hidden + below * (1.0 - hidden);
     for channel in 0..3 {
-        let behind = below * left[channel] * color[channel].clamp(0.0, 1.0);
-        color[channel] = (sum[channel] + behind) / alpha;
+        sum[channel] += below * left[channel] * color[channel].clamp(0.0, 1.0);
     }
-    color[3] = alpha;
+    let mut alpha = hidden + below * (1.0 - hidden);
+    if transmits {
+        alpha = sum.into_iter().fold(alpha, f64::max).min(1.0);
+    }
+    let [r, g, b] = sum.map(|channel| channel / alpha);
+    *color = [r, g, b, alpha];
 }
 
 /// The mean of every n × n block; colours count as much as they cover (alpha).

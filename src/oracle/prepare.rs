@@ -109,6 +109,15 @@ impl<'a> Prepared<'a> {
         })
     }
 
+    /// Whether some surface lets light pass in place of scattering it.
+    pub fn transmits(&self) -> bool {
+        self.items.iter().any(|item| {
+            let over = item.item.override_material;
+            over.is_some_and(MaterialSpec::transmits)
+                || item.item.materials.iter().any(Material::transmits)
+        })
+    }
+
     pub fn instance(&self, hit: &Hit) -> u32 {
         self.items[hit.item as usize].item.instance
     }

@@ -113,14 +113,33 @@ pub fn at(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: usize) -
     }
 }
 
-/// Whether the material's alpha says that nothing is here.
+/// Whether the alpha of the material or of the node's colour says that nothing is here.
 pub fn is_cut_out(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: usize) -> bool {
     let item = &prepared.items[hit.item as usize];
     let Geometry::Mesh(mesh) = item.item.geometry else { return false };
-    match item.material(mesh, hit.index).and_then(|material| material.alpha_cutoff) {
-        Some(cutoff) => at(prepared, view, hit, x, y).alpha < f64::from(cutoff),
-        None => false,
+    let over = item.item.override_material;
+    if over.and_then(|over| over.base_color).is_some_and(|color| color[3] <= 0.0) {
+        return true;
     }
+    let Some(own) = item.material(mesh, hit.index) else { return false };
+    let Some(cutoff) = own.alpha_cutoff else { return false };
+    let corners_view = item.triangle_view(mesh, hit.index);
+    let seen = corners_view.and_then(|corners| SeenTriangle::new(corners, view.projection));
+    let (Some(seen), Some(&corners)) = (seen, mesh.triangles.get(hit.index as usize)) else {
+        // No hit comes from such a triangle.
+        return true;
+    };
+    let ray = pixel_ray(view, x, y);
+    let footprint = |uvs| uv_footprint(&seen, view, ray, uvs);
+    let with = (own, cut_color(item, own));
+    let color = base(prepared, (item, mesh), with, (corners, seen.weights(ray)), footprint);
+    color[3] < f64::from(cutoff)
+}
+
+/// The base colour whose alpha the cut-off is compared with. It is the material's own where alpha cuts holes, because the alpha of a node's colour
+/// says how much is hidden of what the holes leave.
+fn cut_color(item: &PreparedItem<'_>, own: &Material) -> [f32; 4] {
+    if own.blends() { overridden(item, own).base_color } else { own.base_color }
 }
 
 /// Whether the material's alpha says that nothing is where a triangle's corners have these weights, whoever looks; `item` and `triangle` are
@@ -140,8 +159,8 @@ pub fn is_cut_out_at(
         let uv = (0..3).map(|i| uvs[i] * weights[i]).sum();
         texture::Footprint { uv, along_x: DVec2::ZERO, along_y: DVec2::ZERO }
     };
-    let base_color = overridden(item, own).base_color;
-    let color = base(prepared, (item, mesh), (own, base_color), (corners, weights), footprint);
+    let with = (own, cut_color(item, own));
+    let color = base(prepared, (item, mesh), with, (corners, weights), footprint);
     color[3] < f64::from(cutoff)
 }
 

@@ -1,5 +1,7 @@
 //! Trees over instances: an edited scene is drawn like one loaded in its final state, and an edit rebuilds only what it affects.
 
+use std::fmt::Write as _;
+
 use glam::{DAffine3, DVec3};
 use pointillist::engine::{FrameRequest, NodePatch, Pose};
 use pointillist::math::{Camera, Lens};
@@ -7,7 +9,9 @@ use pointillist::plan::{Lod, MaxError, Output, Reconstruct, Settings};
 use pointillist::scene::random::SplitMix64;
 use serde_json::{Value, json};
 
-use super::studio::{Disk, Studio, disk_sphere, disks, front, mesh, same, sphere};
+use super::studio::{
+    Disk, Studio, covered, disk_sphere, disks, fit, front, mesh, same, sphere, spt,
+};
 
 /// Nodes with 40 × 40 instances each, in rows of [`ROW`] nodes.
 const NODES: usize = 18;
@@ -201,4 +205,33 @@ fn a_crowd_with_some_that_are_nowhere() {
         .unwrap();
     let (edited, fresh) = (looks(&studio, "edited"), looks(&studio, "fresh"));
     assert!(edited == fresh && edited != first);
+}
+
+/// Panes of glass with a small opaque patch each: where the patches are smaller than the accepted error, the panes stay.
+#[test]
+fn glass_stays_however_small_what_is_opaque_beside_it() {
+    let studio = Studio::new();
+    studio.write("pane.mtl", "newmtl pane\nKd 0.8 0.2 0.1\nd 0.5\nnewmtl clay\nKd 0.5 0.4 0.3\n");
+    let mut text = "mtllib pane.mtl\nusemtl pane\nv -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nf 1 2 3 4\nusemtl clay\n".to_owned();
+    let side = 7;
+    for number in 0..side * side {
+        let [x, y] = [number % side, number / side].map(|i| f64::from(i) * 0.02);
+        writeln!(text, "v {x} {y} 0.01").unwrap();
+    }
+    for number in (0..side * (side - 1)).filter(|number| number % side != side - 1) {
+        let [a, b] = [number + 5, number + 5 + side];
+        writeln!(text, "f {a} {} {} {b}", a + 1, b + 1).unwrap();
+    }
+    studio.write("pane.obj", text);
+    studio.load_json(
+        "panes",
+        &json!({
+            "assets": { "pane": { "file": "pane.obj" } },
+            "nodes": [{ "asset": "pane", "repeat": { "grid": [5, 5, 1], "step": [2.5, 2.5, 0] } }],
+        }),
+    );
+    let full = fit("panes", 128, Output::Depth);
+    let tree = FrameRequest { settings: spt(8.0, Reconstruct::Points), ..full.clone() };
+    let [full, tree] = [full, tree].map(|request| covered(&studio.bytes(&request)));
+    assert!(full > 2000 && tree * 100 >= full * 95, "{tree} of {full} pixels");
 }

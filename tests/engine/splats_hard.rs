@@ -15,7 +15,7 @@ use super::studio::{Disk, OUTPUTS, Studio, depths, disk_sphere, disks, front, id
 const FILTERS: [Filter; 3] = [Filter::Affine, Filter::Perspective, Filter::Exact];
 /// The cut-off of the scenes.
 const CUTOFF: f64 = 2.0;
-const BACKGROUND: [u8; 3] = [0x10, 0x20, 0x30];
+pub const BACKGROUND: [u8; 3] = [0x10, 0x20, 0x30];
 /// A colour whose linear channels are 0 and 1, which weighted sums keep exactly.
 const PURE: [u8; 3] = [255, 0, 255];
 

@@ -164,8 +164,10 @@ fn parallel_rays_and_clip_boxes() {
     let within = orthographic::look([0.1, 0.2, 0.3], [0.0; 3], 2.4);
     for view in [look([0.4, 1.0, 3.0], [0.0; 3], 45.0), flat, within] {
         for clip_boxes in [None, Some(boxes)] {
-            let settings = Settings { clip_boxes, ..painted(Filter::Perspective) };
-            check(&case, &view, settings, 45.0);
+            for painted_as in [Painting::Surfaces, Painting::Splats] {
+                let settings = Settings { clip_boxes, painted_as, ..painted(Filter::Perspective) };
+                check(&case, &view, settings, 45.0);
+            }
         }
     }
 }

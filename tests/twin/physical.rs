@@ -179,6 +179,51 @@ fn glass_tints_what_lies_behind() {
     assert_eq!(glass([0.05, 1.0, 0.05, 1.0])[..3], [r, g, b]);
 }
 
+/// Draws a sheet of a material that fills the image, from straight ahead.
+fn sheet(name: &str, material: Value, more: Value) -> Frames {
+    let mut glb = Glb::new();
+    let material = glb.material(material);
+    let sheet = Shape::quad(DVec3::new(-2.0, -2.0, 0.0), DVec3::X * 4.0, DVec3::Y * 4.0, 1.0);
+    let mesh = glb.mesh(&sheet, Some(material));
+    glb.node(mesh, json!({}));
+    let (files, mut scene) = scene(glb);
+    merge(&mut scene, &more);
+    let case = Case::new(name, &files, &scene);
+    case.check(&look([0.0, 0.0, 2.0], [0.0; 3], 40.0), &Tolerance::default())
+}
+
+fn middle(frames: &Frames) -> [u8; 4] {
+    frames.color[(frames.height / 2 * frames.width + frames.width / 2) as usize]
+}
+
+/// Over a transparent background a highlight on glass is opaque, and the glass around it nearly clear.
+#[test]
+fn highlights_on_glass_show_over_a_transparent_background() {
+    let glass = json!({ "extensions": { "KHR_materials_transmission": { "transmissionFactor": 1 } },
+        "pbrMetallicRoughness": { "metallicFactor": 0, "roughnessFactor": 0.3 } });
+    let more = json!({ "lights": [{ "kind": "headlight" }], "background": "#00000000" });
+    let frames = sheet("glass-highlight", glass, more);
+    let [r, g, b, alpha] = middle(&frames);
+    assert!([r, g, b, alpha].iter().all(|&byte| byte > 250), "{r} {g} {b} {alpha}");
+    let corner = frames.color[0];
+    assert!(corner[3] < 40, "{corner:?}");
+}
+
+/// Glass that reflects nothing hides nothing, and its own light shows.
+#[test]
+fn glass_that_hides_nothing_gives_off_light() {
+    let glass = json!({ "emissiveFactor": [0.5, 0.5, 0.5],
+        "extensions": {
+            "KHR_materials_transmission": { "transmissionFactor": 1 },
+            "KHR_materials_specular": { "specularFactor": 0 } },
+        "pbrMetallicRoughness": { "metallicFactor": 0, "roughnessFactor": 0.5 } });
+    let more = json!({ "lights": [{ "kind": "ambient" }], "background": "#000000" });
+    let [r, g, b, alpha] = middle(&sheet("glass-glow", glass, more));
+    // 188 is the byte of 0.5.
+    assert!([r, g, b].iter().all(|byte| (186..=190).contains(byte)), "{r} {g} {b}");
+    assert_eq!(alpha, 255);
+}
+
 /// A node lays glass over an opaque ball, and its samples stay as they are.
 #[test]
 fn nodes_of_glass() {

@@ -133,7 +133,7 @@ fn nodes_with_translucent_colors() {
     let texture = glb.texture(&png, json!({}));
     let mut leaf = solid([0.9, 0.9, 0.9]);
     leaf["alphaMode"] = json!("MASK");
-    leaf["alphaCutoff"] = json!(0.25);
+    leaf["alphaCutoff"] = json!(0.5);
     leaf["pbrMetallicRoughness"]["baseColorTexture"] = json!({ "index": texture });
     let leaf = glb.material(leaf);
     let mesh = glb.mesh(&pane(DVec3::ZERO, 20.0), Some(leaf));
@@ -157,10 +157,15 @@ fn nodes_with_translucent_colors() {
     let frames = case.check(&view(), &Tolerance::default());
     assert!(frames.ran(Pass::CompositeLayers) && frames.ran(Pass::ResolveTriangles));
     assert!(frames.receipt.translucent.unwrap().deepest >= 2);
-    // Trees have opaque samples, so the frame has full detail.
+    // The alpha of the node's colour is below the cut-off of the leaf, which is there nevertheless.
+    let leaf = frames.id.iter().filter(|&&id| id == 5).count();
+    assert!(leaf > 3000, "{leaf} pixels of the translucent leaf");
+    // Nodes without alpha are in no output.
+    assert!(!frames.id.contains(&4));
+    // Trees have opaque samples, so all outputs have full detail.
     let tree = Settings { lod: Lod::Spt, ..Settings::drawn_as(Reconstruct::Points) };
     let tree = case.draw_wide(&view(), tree);
-    assert!(tree.receipt.settings.full_because.is_some() && tree.color == frames.color);
+    assert!(tree.receipt.settings.full_because.is_some() && tree.same_pixels(&frames));
 }
 
 /// Surfaces at one place are as many layers as there are, in the order of their numbers.
