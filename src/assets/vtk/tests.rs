@@ -181,6 +181,24 @@ fn polygons_are_meshes_and_bare_points_a_cloud() {
 }
 
 #[test]
+fn lines_without_two_points_cost_no_mesh() {
+    let file = |polygons: bool| {
+        let mut file = Legacy::new("3.0", false);
+        file.put("POINTS 4 float", "float", &POINTS);
+        file.put("LINES 1 2", "int", &[1.0, 0.0]);
+        if polygons {
+            file.put("POLYGONS 1 4", "int", &[3.0, 0.0, 1.0, 2.0]);
+        }
+        legacy(file.bytes)
+    };
+    let asset = file(true).unwrap();
+    assert_eq!((asset.geometries.len(), asset.placements.len()), (1, 1));
+    assert_eq!(mesh(&asset).triangles.len(), 1);
+    assert!(asset.warnings.iter().any(|text| text.starts_with("lines are left out: no strand")));
+    assert!(file(false).unwrap_err().to_string().contains("no strand has two vertices"));
+}
+
+#[test]
 fn damaged_legacy_files_are_refused() {
     for (version, is_binary) in [("3.0", true), ("5.1", true)] {
         let whole = whole_legacy(version, is_binary);
