@@ -167,6 +167,22 @@ fn bundles_thin_out_and_keep_their_area() {
     assert!(least < 40, "{least} strands are left of 4000");
 }
 
+/// Places at the border of the grid have cells of their own, even where cells are smallest.
+#[test]
+fn cells_tell_the_farthest_places_apart() {
+    let far = 2f32.powi(28) - 2f32.powi(12);
+    let key = |at: [f32; 3]| key_of(Vec3::from_array(at), LEAST_ERROR);
+    for sign in [-1.0, 1.0] {
+        for axis in 0..3 {
+            let mut places = [[0.0; 3]; 3];
+            places[1][axis] = sign * far;
+            places[2][axis] = sign * 0.5 * far;
+            let [zero, border, half] = places.map(key);
+            assert!(zero != border && border != half && half != zero, "{border:?} {half:?}");
+        }
+    }
+}
+
 #[test]
 fn single_strands_and_wide_ones_stay() {
     // Fibres far apart, of all widths.
