@@ -181,6 +181,19 @@ fn polygons_are_meshes_and_bare_points_a_cloud() {
 }
 
 #[test]
+fn colours_and_normals_of_polygons_are_named_where_they_are_not_used() {
+    let mut file = Legacy::new("3.0", false);
+    file.put("POINTS 4 float", "float", &POINTS);
+    file.put("POLYGONS 1 4", "int", &[3.0, 0.0, 1.0, 2.0]);
+    file.put("CELL_DATA 1\nCOLOR_SCALARS paint 3", "float", &[1.0, 0.0, 0.0]);
+    file.put("NORMALS up float", "float", &[0.0, 0.0, 1.0]);
+    let asset = legacy(file.bytes).unwrap();
+    for name in ["\"paint\" of cells", "\"up\" of cells"] {
+        assert!(asset.warnings.iter().any(|text| text.contains(name)), "{:?}", asset.warnings);
+    }
+}
+
+#[test]
 fn lines_without_two_points_cost_no_mesh() {
     let file = |polygons: bool| {
         let mut file = Legacy::new("3.0", false);
