@@ -453,6 +453,19 @@ fn pieces_follow_each_other() {
 }
 
 #[test]
+fn arrays_of_one_name_in_a_piece_are_not_joined() {
+    let twice = |xml: &mut Xml| piece(xml).replace("Name=\"t\"", "Name=\"radius\"");
+    let read = |pieces: &[&dyn Fn(&mut Xml) -> String]| {
+        xml(example(Format::Ascii, false, false, false).file(pieces)).unwrap()
+    };
+    for (count, asset) in [(1, read(&[&twice])), (2, read(&[&twice, &twice]))] {
+        let found = asset.warnings.iter().filter(|text| text.contains("has the same name"));
+        assert_eq!(found.count(), count, "{:?}", asset.warnings);
+        assert_eq!(lines(&asset).radii.as_ref().unwrap()[..5], [0.5, 0.25, 0.125, 2.0, 0.5]);
+    }
+}
+
+#[test]
 fn damaged_xml_files_are_refused() {
     for format in FORMATS {
         for is_packed in [false, true] {
