@@ -252,8 +252,8 @@ fn whole_share(line: Line, strip: Strip) -> f32 {
     return max((strip.share.y - strip.share.x) * (line.range.y - line.range.x), 1e-6);
 }
 
-// The key of a place along a strand, from 0 to 1: strands differ by a hash, segments and the parts of a segment by steps of Martin Roberts' R2
-// sequence. A part is half a pixel to a pixel long.
+// The key of a place along a strand, from 0 to 1. Strands, and the pieces that a segment of the file is split into, differ by a hash. Segments
+// and the parts of a segment differ by steps of Martin Roberts' R2 sequence. A part is half a pixel to a pixel long.
 fn strip_key(line: Line, strip: Strip, share: f32, z: f32) -> f32 {
     var pixels = strip.length / whole_share(line, strip);
     if !ORTHOGRAPHIC {

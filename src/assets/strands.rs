@@ -297,6 +297,24 @@ impl<'a> Strands<'a> {
         Ok(lines)
     }
 
+    /// Does the same as [`Self::finish`] for a file that has other geometry as well: where no strand is left, that is a warning.
+    ///
+    /// # Errors
+    /// There is no memory for the last strand.
+    pub fn finish_beside(
+        self,
+        warnings: &mut Vec<String>,
+    ) -> Result<Option<Polylines>, AssetError> {
+        match self.finish(warnings) {
+            Ok(lines) => Ok(Some(lines)),
+            Err(AssetError::Malformed { reason, .. }) => {
+                warnings.push(format!("lines are left out: {reason}"));
+                Ok(None)
+            }
+            Err(error) => Err(error),
+        }
+    }
+
     /// [`Self::finish`] for a format that holds nothing but strands.
     ///
     /// # Errors

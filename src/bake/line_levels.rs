@@ -364,12 +364,12 @@ fn pruned(pieces: Vec<Piece<Vertex>>, firsts: &[u32], error: f32) -> Vec<Piece<V
 /// The area of all strands in each cell that has some, in [`UNITS`] of a cell's.
 struct Areas {
     error: f32,
-    cells: Vec<(u64, u64)>,
+    cells: Vec<(Key, u64)>,
 }
 
 impl Areas {
     fn of(pieces: &[Piece<Vertex>], error: f32) -> Areas {
-        let mut parts: Vec<(u64, u64)> = pieces
+        let mut parts: Vec<(Key, u64)> = pieces
             .par_iter()
             .flat_map_iter(|piece| {
                 let mut parts = Vec::new();
@@ -385,7 +385,7 @@ impl Areas {
             })
             .collect();
         parts.par_sort_unstable_by_key(|part| part.0);
-        let mut cells: Vec<(u64, u64)> = Vec::new();
+        let mut cells: Vec<(Key, u64)> = Vec::new();
         for (key, area) in parts {
             match cells.last_mut() {
                 Some(last) if last.0 == key => last.1 += area,
@@ -408,14 +408,17 @@ fn units_of(area: f32) -> u64 {
     (area * UNITS).ceil().clamp(1.0, 1e12) as u64
 }
 
-/// The cell of a position. Coordinates use 21 bits each.
-fn key_of(position: Vec3, error: f32) -> u64 {
-    let part = |x: f32| ((x / error).floor() as i64 + (1 << 20)).clamp(0, (1 << 21) - 1) as u64;
-    part(position.x) | part(position.y) << 21 | part(position.z) << 42
+/// A cell of a level. Coordinates of the grid are at most 2²⁸ in size and a cell measures at least [`LEAST_ERROR`]: three coordinates have too
+/// many bits for a single word.
+type Key = [i32; 3];
+
+/// Returns the cell of a position.
+fn key_of(position: Vec3, error: f32) -> Key {
+    position.to_array().map(|x| (x / error).floor() as i32)
 }
 
 /// Adds the area of a segment to the cells along it.
-fn add_parts(a: &Vertex, b: &Vertex, error: f32, parts: &mut Vec<(u64, u64)>) {
+fn add_parts(a: &Vertex, b: &Vertex, error: f32, parts: &mut Vec<(Key, u64)>) {
     let way = a.to(b);
     let length = way.length();
     let steps = (2.0 * length / error).ceil().clamp(1.0, 256.0) as i32;

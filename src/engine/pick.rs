@@ -5,7 +5,9 @@
 //! Positions are computed in f64 from the host's copy of the element: a sample's own position, or the point where the pixel's ray meets the
 //! triangle or the line.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
+mod lines;
+
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -14,15 +16,15 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 use utoipa::ToSchema;
 
+use self::lines::{Detail, Strands};
 use super::loaded::{Loaded, node_name};
 use super::resolved::ResolvedFrame;
 use super::{EncodedFrame, Engine, EngineError, FrameRequest, FrameTicket, Origin};
 use crate::bake::pack::{
-    NO_NORMAL, PackedChunk, PackedGeometry, PackedLines, PackedMesh, PackedSamples,
-    octahedral_decode,
+    PackedGeometry, PackedLines, PackedMesh, PackedSamples, octahedral_decode,
 };
 use crate::encode::{FrameImage, ImageFormat};
-use crate::math::{Tube, View};
+use crate::math::View;
 use crate::plan::Output;
 use crate::residency::model::{AssetModel, ModelInstance, SceneModel};
 use crate::scene::InstancePaths;
@@ -231,10 +233,17 @@ impl Picker {
         let instances: HashMap<u32, &ModelInstance> =
             all.filter(|one| ids.contains(&one.id)).map(|one| (one.id, one)).collect();
         let paths = self.loaded.instance_paths();
+        let strands = self.strands(words.clone());
         let picks = self.pixels.iter().zip(words).map(|(&[x, y], words)| Pick {
             x,
             y,
-            hit: self.hit(words, DVec2::new(f64::from(x), f64::from(y)) + 0.5, &instances, &paths),
+            hit: self.hit(
+                words,
+                DVec2::new(f64::from(x), f64::from(y)) + 0.5,
+                &instances,
+                &paths,
+                strands.as_ref(),
+            ),
         });
         Ok(picks.collect())
     }
@@ -245,6 +254,7 @@ impl Picker {
         pixel: DVec2,
         instances: &HashMap<u32, &ModelInstance>,
         paths: &InstancePaths<'_>,
+        strands: Option<&HashMap<u32, Strands>>,
     ) -> Option<Hit> {
         let &[id, number, chunk, within] = words else { return None };
         let (asset, geometry) = self.geometry(number)?;
@@ -275,7 +285,8 @@ impl Picker {
                 let world_from_view = view.view_from_world.transpose();
                 let way = world_from_view * view.towards(ray);
                 let origin = view.eye + world_from_view * view.at_depth(ray, 0.0);
-                segment(lines, (record, index), &world, (origin, way), tint)?
+                let detail = strands.map_or(Detail::Full, |all| Detail::Levels(all.get(&number)));
+                lines::segment(lines, (record, index), &world, (origin, way), tint, detail)?
             }
         };
         let position = world.transform_point3(element.local);
@@ -299,6 +310,44 @@ impl Picker {
             chunk,
             element: index as u32,
         })
+    }
+
+    /// Returns the vertices of the strands that the pixels show, by the number of the geometry; `None` for a frame at full detail.
+    fn strands<'w>(
+        &self,
+        pixels: impl Iterator<Item = &'w [u32]>,
+    ) -> Option<HashMap<u32, Strands>> {
+        if Arc::ptr_eq(&self.model, &self.loaded.model) {
+            return None;
+        }
+        let mut wanted: HashMap<u32, BTreeSet<u32>> = HashMap::new();
+        for words in pixels {
+            let &[_, number, chunk, within] = words else { continue };
+            let Some(PackedGeometry::Lines(lines)) = self.packed(number) else { continue };
+            let Some(record) = lines.chunks.get(chunk as usize) else { continue };
+            if let Some((strand, _)) = lines.strand_of((record.first + within) as usize) {
+                wanted.entry(number).or_default().insert(strand);
+            }
+        }
+        let found = wanted.into_iter().filter_map(|(number, wanted)| {
+            Some((number, lines::strands(self.full_lines(number)?, &wanted)))
+        });
+        Some(found.collect())
+    }
+
+    fn packed(&self, number: u32) -> Option<&PackedGeometry> {
+        let (asset, geometry) = self.geometry(number)?;
+        asset.packed.geometries.get(geometry)
+    }
+
+    /// Returns the lines of a geometry at full detail. Levels of detail have the index of their geometry.
+    fn full_lines(&self, number: u32) -> Option<&PackedLines> {
+        let (asset, geometry) = self.geometry(number)?;
+        let full = self.loaded.model.assets.iter().find(|full| full.name == asset.name)?;
+        match full.packed.geometries.get(geometry)? {
+            PackedGeometry::Lines(lines) => Some(lines),
+            _ => None,
+        }
     }
 
     /// Returns the asset and the index of the geometry with this number. Geometries are numbered asset by asset.
@@ -403,45 +452,6 @@ fn triangle(
         color,
         fields: BTreeMap::new(),
         strand: None,
-    })
-}
-
-/// The point of a segment where a ray from the eye meets it. Thin lines are drawn wider than they are: the nearest point of the axis stands for
-/// what the ray misses.
-fn segment(
-    lines: &PackedLines,
-    (record, index): (&PackedChunk, usize),
-    world: &DAffine3,
-    (origin, way): (DVec3, DVec3),
-    tint: Tint,
-) -> Option<Element> {
-    let ends = lines.ends(record, index)?;
-    let axes = world.matrix3;
-    let stretch = axes.x_axis.length().max(axes.y_axis.length()).max(axes.z_axis.length());
-    let tube = Tube {
-        ends: ends.map(|end| world.transform_point3(end.position)),
-        radii: ends.map(|end| end.radius * stretch),
-    };
-    let is_ribbon = ends.iter().any(|end| end.normal != NO_NORMAL);
-    let entry =
-        if is_ribbon { None } else { tube.enter(origin, way).filter(|found| found.at > 0.0) };
-    let share = entry.map_or_else(|| tube.nearest_share(origin, way), |entry| entry.share);
-    let on_axis = ends[0].position.lerp(ends[1].position, share);
-    let back = world.inverse();
-    let local = match entry {
-        Some(entry) if back.is_finite() => back.transform_point3(origin + way * entry.at),
-        _ => on_axis,
-    };
-    let normals = ends.map(|end| octahedral_decode(end.normal).as_dvec3());
-    let colors = ends.map(|end| linear(end.color));
-    let (index, vertex) = lines.strand_of(index)?;
-    Some(Element {
-        kind: HitKind::Segment,
-        local,
-        normal: if is_ribbon { normals[0].lerp(normals[1], share) } else { local - on_axis },
-        color: colors[0].lerp(colors[1], share) * base(tint.unwrap_or([1.0; 4])),
-        fields: BTreeMap::new(),
-        strand: Some(PickedStrand { index, vertex, share }),
     })
 }
 

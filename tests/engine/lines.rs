@@ -62,8 +62,14 @@ fn lines_are_drawn_beside_point_trees() {
 fn picks_name_strand_and_place() {
     let studio = Studio::new();
     load(&studio);
-    let request =
-        FrameRequest { settings: Settings::drawn_as(Reconstruct::Points), ..front("both", 90, 80) };
+    // Both have the strands of the file.
+    for settings in [Settings::drawn_as(Reconstruct::Points), spt(1.0, Reconstruct::Points)] {
+        picks_of(&studio, settings);
+    }
+}
+
+fn picks_of(studio: &Studio, settings: Settings) {
+    let request = FrameRequest { settings, ..front("both", 90, 80) };
     let ids = studio.bytes(&FrameRequest { output: Output::Id, ..request.clone() });
     let depths = studio.bytes(&FrameRequest { output: Output::Depth, ..request.clone() });
     let (ids, depths) = (super::studio::ids(&ids), super::studio::depths(&depths));

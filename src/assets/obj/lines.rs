@@ -41,7 +41,7 @@ impl Statements<'_> {
         Ok(())
     }
 
-    /// The strands; `None` where the file has no line elements.
+    /// The strands; `None` where the file has no line elements, or has faces and no line element with two vertices.
     pub(super) fn strands(
         &self,
         origin: &Origin,
@@ -73,6 +73,10 @@ impl Statements<'_> {
             strands.cut()?;
             begin = end;
         }
-        Ok(Some(strands.finish(warnings)?))
+        if self.faces.is_empty() {
+            Ok(Some(strands.finish(warnings)?))
+        } else {
+            strands.finish_beside(warnings)
+        }
     }
 }

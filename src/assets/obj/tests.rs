@@ -50,6 +50,14 @@ fn line_elements_are_strands() {
     assert_eq!(mesh(&asset).triangles.len(), 1);
     assert_eq!(strands(&asset.geometries[1]).strands, [0, 2]);
     assert_eq!(asset.placements.len(), 2);
+    // A line without a second vertex costs no mesh.
+    let asset = read(&format!("{SQUARE}f 1 2 3\nl 2\n")).unwrap();
+    assert_eq!((asset.geometries.len(), asset.placements.len()), (1, 1));
+    assert_eq!(mesh(&asset).triangles.len(), 1);
+    assert_eq!(
+        asset.warnings[1],
+        "lines are left out: no strand has two vertices with finite coordinates"
+    );
     for (text, expected) in [
         ("v 0 0 0\nl 1 2\n", "line element 0 (line 2): vertex 2 does not exist, the file has 1"),
         ("v 0 0 0\nl 1 x\n", "line element 0 (line 2): \"x\" is no corner"),

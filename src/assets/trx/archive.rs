@@ -217,8 +217,10 @@ fn directory_bytes(reader: &mut (impl Read + Seek)) -> std::io::Result<u64> {
         let mut starts = vec![whole(tail.get(at + 16..at + 20).unwrap_or_default())];
         // Before the end of a large archive (ZIP64) lies the place of another record.
         let locator = bytes_at(reader, end.saturating_sub(20), 20)?;
-        if locator.starts_with(b"PK\x06\x07") {
-            let record = bytes_at(reader, whole(&locator[8..16]), 56)?;
+        if locator.starts_with(b"PK\x06\x07")
+            && let Some(place) = locator.get(8..16)
+        {
+            let record = bytes_at(reader, whole(place), 56)?;
             starts.extend(record.get(48..56).map(whole));
         }
         for start in starts {

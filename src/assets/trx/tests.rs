@@ -528,6 +528,13 @@ fn example() -> TrxFile {
         .with("groups/g.uint32", numbers("uint32", &[1.0]))
 }
 
+/// The end of a directory stands behind what begins as the locator of a large archive, in a file of eight bytes.
+#[test]
+fn files_shorter_than_a_locator_are_refused() {
+    let error = read(b"PK\x06\x07PK\x05\x06".to_vec()).unwrap_err().to_string();
+    assert!(error.starts_with("a.trx: "), "{error}");
+}
+
 #[test]
 fn truncated_files_are_refused() {
     for file in [example(), example().deflated()] {

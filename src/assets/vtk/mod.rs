@@ -131,7 +131,7 @@ impl PolyData {
         let mut asset = Asset { format, ..Asset::default() };
         if self.lines.len() > 0 {
             let lines = self.strands(origin, options)?;
-            asset.geometries.push(Geometry::Lines(lines));
+            asset.geometries.extend(lines.map(Geometry::Lines));
         }
         if self.polys.len() + self.strips.len() > 0 {
             let mesh = self.mesh(origin, options)?;
@@ -151,12 +151,12 @@ impl PolyData {
         Ok(asset)
     }
 
-    /// The lines, with the arrays of points and of lines.
+    /// The lines, with the arrays of points and of lines; `None` where no line has two points and the file has polygons or strips as well.
     fn strands(
         &mut self,
         origin: &Origin,
         options: &ReadOptions,
-    ) -> Result<super::Polylines, AssetError> {
+    ) -> Result<Option<super::Polylines>, AssetError> {
         let roles = Roles::of(&self.point_arrays);
         let cell_roles = Roles::of(&self.cell_arrays);
         if roles.normals.is_some() {
@@ -215,7 +215,11 @@ impl PolyData {
             }
             strands.cut()?;
         }
-        strands.finish(&mut self.warnings)
+        if self.polys.len() + self.strips.len() > 0 {
+            strands.finish_beside(&mut self.warnings)
+        } else {
+            strands.finish(&mut self.warnings).map(Some)
+        }
     }
 }
 

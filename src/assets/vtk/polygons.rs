@@ -54,6 +54,14 @@ impl PolyData {
             "polygon crosses itself and is drawn as a fan",
             "polygons cross themselves and are drawn as fans",
         ));
+        let of_cells = Roles::of(&self.cell_arrays);
+        for (array, what) in [(of_cells.color, "colours"), (of_cells.normals, "normals")] {
+            let Some(array) = array else { continue };
+            self.warnings.push(format!(
+                "array \"{}\" of cells is not used for polygons: {what} of polygons are read from arrays of points",
+                array.name
+            ));
+        }
         let (colors, normals) = self.appearance();
         let positions = self.points.clone();
         let mesh = Mesh { positions, triangles, colors, normals, ..Mesh::default() };

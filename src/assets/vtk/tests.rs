@@ -181,6 +181,37 @@ fn polygons_are_meshes_and_bare_points_a_cloud() {
 }
 
 #[test]
+fn colours_and_normals_of_polygons_are_named_where_they_are_not_used() {
+    let mut file = Legacy::new("3.0", false);
+    file.put("POINTS 4 float", "float", &POINTS);
+    file.put("POLYGONS 1 4", "int", &[3.0, 0.0, 1.0, 2.0]);
+    file.put("CELL_DATA 1\nCOLOR_SCALARS paint 3", "float", &[1.0, 0.0, 0.0]);
+    file.put("NORMALS up float", "float", &[0.0, 0.0, 1.0]);
+    let asset = legacy(file.bytes).unwrap();
+    for name in ["\"paint\" of cells", "\"up\" of cells"] {
+        assert!(asset.warnings.iter().any(|text| text.contains(name)), "{:?}", asset.warnings);
+    }
+}
+
+#[test]
+fn lines_without_two_points_cost_no_mesh() {
+    let file = |polygons: bool| {
+        let mut file = Legacy::new("3.0", false);
+        file.put("POINTS 4 float", "float", &POINTS);
+        file.put("LINES 1 2", "int", &[1.0, 0.0]);
+        if polygons {
+            file.put("POLYGONS 1 4", "int", &[3.0, 0.0, 1.0, 2.0]);
+        }
+        legacy(file.bytes)
+    };
+    let asset = file(true).unwrap();
+    assert_eq!((asset.geometries.len(), asset.placements.len()), (1, 1));
+    assert_eq!(mesh(&asset).triangles.len(), 1);
+    assert!(asset.warnings.iter().any(|text| text.starts_with("lines are left out: no strand")));
+    assert!(file(false).unwrap_err().to_string().contains("no strand has two vertices"));
+}
+
+#[test]
 fn damaged_legacy_files_are_refused() {
     for (version, is_binary) in [("3.0", true), ("5.1", true)] {
         let whole = whole_legacy(version, is_binary);
@@ -419,6 +450,19 @@ fn pieces_follow_each_other() {
     assert_eq!(lines.positions[..5], lines.positions[5..]);
     assert_eq!(values(lines, "t")[5..], [10.0, 20.0, 30.0, 40.0, 10.0]);
     assert!(asset.warnings[0].contains("several pieces"), "{:?}", asset.warnings);
+}
+
+#[test]
+fn arrays_of_one_name_in_a_piece_are_not_joined() {
+    let twice = |xml: &mut Xml| piece(xml).replace("Name=\"t\"", "Name=\"radius\"");
+    let read = |pieces: &[&dyn Fn(&mut Xml) -> String]| {
+        xml(example(Format::Ascii, false, false, false).file(pieces)).unwrap()
+    };
+    for (count, asset) in [(1, read(&[&twice])), (2, read(&[&twice, &twice]))] {
+        let found = asset.warnings.iter().filter(|text| text.contains("has the same name"));
+        assert_eq!(found.count(), count, "{:?}", asset.warnings);
+        assert_eq!(lines(&asset).radii.as_ref().unwrap()[..5], [0.5, 0.25, 0.125, 2.0, 0.5]);
+    }
 }
 
 #[test]

@@ -221,7 +221,7 @@ impl Reading<'_> {
         Ok(())
     }
 
-    /// Appends arrays of a piece to those that have the same name; `before` elements have come before.
+    /// Appends the arrays of a piece to those of earlier pieces that have the same name; `before` elements have come before.
     fn arrays(
         &mut self,
         place: &str,
@@ -269,10 +269,18 @@ impl Reading<'_> {
                 _ => &mut self.data.cell_arrays,
             };
             match arrays.iter_mut().find(|known| known.name == array.name) {
-                Some(known) if known.components == array.components => {
-                    known.values.append(&mut array.values);
+                Some(known) => {
+                    // One that an earlier piece lacks is shorter, and is found so at the end.
+                    let numbers = known.values.len() as u64;
+                    let earlier = before.saturating_mul(known.components as u64);
+                    if numbers > earlier {
+                        self.data.warnings.push(format!(
+                            "{place} is left out: an earlier array of the piece has the same name; names must differ"
+                        ));
+                    } else if numbers == earlier && known.components == array.components {
+                        known.values.append(&mut array.values);
+                    }
                 }
-                Some(_) => {}
                 // An array that an earlier piece lacks is found missing at the end.
                 None if before > 0 => {}
                 None => arrays.push(array),

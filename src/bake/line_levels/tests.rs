@@ -142,6 +142,33 @@ fn every_place_of_a_strand_is_within_the_error_of_each_level() {
     }
 }
 
+/// Shaders derive dither keys from a segment's number and the hash above its flags.
+#[test]
+fn parts_of_a_split_segment_have_dither_keys_of_their_own() {
+    // Steps of 1, and one of 40.
+    let own = lines(1, 200, 0.001, |_, vertex| {
+        let gap = if vertex > 100 { 39.0 } else { 0.0 };
+        DVec3::X * (vertex as f64 + gap)
+    });
+    let packed = line_levels(&own).unwrap();
+    let full = levels_of(&packed).remove(0);
+    let mut keys: Vec<(u32, u32)> = full
+        .chunks
+        .iter()
+        .flat_map(|chunk| chunk.elements())
+        .map(|segment| packed.segments[segment])
+        .map(|[link, number]| (number, link >> 22))
+        .collect();
+    let all = keys.len();
+    assert!(all > own.len() + 10, "{all}");
+    keys.sort_unstable();
+    keys.dedup();
+    assert_eq!(keys.len(), all);
+    // A segment that is not split has the hash of full detail.
+    let [link, _] = own.segments[0];
+    assert!(keys.contains(&(0, link >> 22)));
+}
+
 #[test]
 fn bundles_thin_out_and_keep_their_area() {
     let own = lines(4000, 40, 0.0004, bundle(1.0));
@@ -165,6 +192,22 @@ fn bundles_thin_out_and_keep_their_area() {
         before = now;
     }
     assert!(least < 40, "{least} strands are left of 4000");
+}
+
+/// Places at the border of the grid have cells of their own, even where cells are smallest.
+#[test]
+fn cells_tell_the_farthest_places_apart() {
+    let far = 2f32.powi(28) - 2f32.powi(12);
+    let key = |at: [f32; 3]| key_of(Vec3::from_array(at), LEAST_ERROR);
+    for sign in [-1.0, 1.0] {
+        for axis in 0..3 {
+            let mut places = [[0.0; 3]; 3];
+            places[1][axis] = sign * far;
+            places[2][axis] = sign * 0.5 * far;
+            let [zero, border, half] = places.map(key);
+            assert!(zero != border && border != half && half != zero, "{border:?} {half:?}");
+        }
+    }
 }
 
 #[test]

@@ -21,7 +21,7 @@ pub const LINE_WORDS: usize = 7;
 /// Bits of a segment's first word, above two indices of 10 bits: it begins or ends its strand.
 pub const BEGINS: u32 = 1 << 20;
 pub const ENDS: u32 = 1 << 21;
-/// The highest bits of that word are a hash of the strand's number.
+/// The highest bits of that word are a hash of the strand's number, and of the segment's among parts of a segment of the file.
 const HASH_SHIFT: u32 = 22;
 
 /// Angle that counts for straight strands: segments of levels of detail are short as well.
@@ -84,14 +84,19 @@ pub fn pack_lines(lines: &Polylines) -> Result<PackedLines, PackError> {
     for &(_, vertex) in &order {
         let strand = lines.strands.partition_point(|&first| first <= vertex) as u32 - 1;
         let [first, end] = [strand, strand + 1].map(|at| lines.strands[at as usize]);
-        packer.add(&words, vertex, vertex, strand_word(strand, first == vertex, end == vertex + 2));
+        let word = strand_word(strand, 0, first == vertex, end == vertex + 2);
+        packer.add(&words, vertex, vertex, word);
     }
     Ok(packer.finished())
 }
 
-/// The first word of a segment without its indices.
-fn strand_word(strand: u32, begins: bool, ends: bool) -> u32 {
-    let hash = strand.wrapping_add(1).wrapping_mul(0x9e37_79b9) >> HASH_SHIFT << HASH_SHIFT;
+/// Returns the first word of a segment without its indices. `part` counts the segments before it that have the same number.
+///
+/// Shaders derive the dither keys of a segment from the hash and the number, and parts of one segment have the same number: each has a hash of
+/// its own, by steps of Martin Roberts' R3 sequence.
+fn strand_word(strand: u32, part: u32, begins: bool, ends: bool) -> u32 {
+    let of_strand = strand.wrapping_add(1).wrapping_mul(0x9e37_79b9);
+    let hash = of_strand.wrapping_add(part.wrapping_mul(0xd1b5_4a33)) >> HASH_SHIFT << HASH_SHIFT;
     hash | if begins { BEGINS } else { 0 } | if ends { ENDS } else { 0 }
 }
 
@@ -298,10 +303,15 @@ pub fn pack_levels(
         let mut first = 0;
         for piece in pieces {
             let last = first + piece.vertices.len() as u32 - 1;
+            let mut part = 0;
             for vertex in first..last {
+                let number = |vertex: u32| vertices[vertex as usize].number;
+                let continues = vertex > first && number(vertex) == number(vertex - 1);
+                part = if continues { part + 1 } else { 0 };
                 let [a, b] = [vertex, vertex + 1].map(|v| vertices[v as usize].cell());
                 let begins = piece.begins && vertex == first;
-                let word = strand_word(piece.strand, begins, piece.ends && vertex + 1 == last);
+                let ends = piece.ends && vertex + 1 == last;
+                let word = strand_word(piece.strand, part, begins, ends);
                 order.push((morton((a + b) / 2), vertex, word));
             }
             first = last + 1;
