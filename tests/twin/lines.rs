@@ -383,7 +383,9 @@ fn every_reconstruction_draws_lines_alike() {
     let view = look([0.0, 0.4, 4.0], [0.0; 3], 45.0);
     let points = case.draw(&view);
     assert!(points.covered() > 600, "{}", points.covered());
-    for reconstruct in [Reconstruct::Splats, Reconstruct::Fuzzy] {
+    for reconstruct in
+        [Reconstruct::Splats, Reconstruct::Fuzzy, Reconstruct::PullPush, Reconstruct::Painted]
+    {
         let frames = case.draw_with(&view, Settings::drawn_as(reconstruct));
         assert!(frames.same_pixels(&points), "{reconstruct:?}");
     }

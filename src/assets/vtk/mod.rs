@@ -101,13 +101,14 @@ impl PolyData {
 
     /// Leaves out arrays that cannot be told from others or have another length than what they describe.
     fn tidy(&mut self) {
-        let cells = self.verts as usize + self.lines.len() + self.polys.len() + self.strips.len();
+        let drawn = self.lines.len() + self.polys.len() + self.strips.len();
+        let cells = (self.verts as usize).saturating_add(drawn);
         let points = self.points.len();
         for (arrays, elements, what) in
             [(&mut self.point_arrays, points, "points"), (&mut self.cell_arrays, cells, "cells")]
         {
             arrays.retain(|array| {
-                let fits = array.values.len() == elements * array.components;
+                let fits = array.values.len() == elements.saturating_mul(array.components);
                 if !fits {
                     let (name, numbers) = (&array.name, array.values.len());
                     self.warnings.push(format!(
@@ -185,7 +186,7 @@ impl PolyData {
         strands.reserve(self.lines.corners.len())?;
         let mut values = Vec::new();
         for (number, line) in self.lines.each().enumerate() {
-            let cell = self.verts as usize + number;
+            let cell = (self.verts as usize).saturating_add(number);
             for &point in line {
                 let at = point as usize;
                 values.clear();

@@ -497,6 +497,7 @@ fn damaged_xml_files_are_refused() {
         ("0 1 2 3 0", "0 1 2 x 0", "piece 0, Lines, connectivity, number 3: \"x\" is not a number"),
         (">3 5<", ">3 4<", "2 cells end at corner 4"),
         ("10 20 30 40", "10 20 30", "\"t\": 3 numbers; 4 elements have 4"),
+        ("<Piece ", "<Piece NumberOfVerts=\"18446744073709551615\" ", "vertex cells"),
         ("VTKFile", "File", "not VTKFile"),
         ("format=\"ascii\"", "format=\"appended\" offset=\"0\"", "refers to appended data"),
         ("format=\"ascii\"", "format=\"morse\"", "format \"morse\" is unknown"),

@@ -121,8 +121,8 @@ impl Array {
 
     /// The numbers of an element.
     pub fn of(&self, element: usize) -> &[f32] {
-        let begin = element * self.components;
-        self.values.get(begin..begin + self.components).unwrap_or_default()
+        let begin = element.saturating_mul(self.components);
+        self.values.get(begin..begin.saturating_add(self.components)).unwrap_or_default()
     }
 
     /// The colour of an element, in the range of the file.

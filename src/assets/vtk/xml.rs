@@ -99,7 +99,9 @@ impl Reading<'_> {
         let first = self.data.points.len() as u32;
         self.points(&place, piece, points)?;
         let cells = verts.saturating_add(lines).saturating_add(polys).saturating_add(strips);
-        self.verts += verts;
+        // A vertex cell has a corner at least; these corners are not read.
+        self.verts = self.verts.saturating_add(verts);
+        AssetError::check_limit(&self.origin.name, "vertex cells", self.verts, most)?;
         for (name, count) in [("Lines", lines), ("Polys", polys), ("Strips", strips)] {
             self.cells(&place, piece, name, count, first)?;
         }

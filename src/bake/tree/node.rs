@@ -122,6 +122,12 @@ fn kernel_area(kernel: &Kernel) -> f32 {
     if area.is_finite() { area } else { 0.0 }
 }
 
+/// The length of a vector. Squares of coordinates beyond 10¹⁹ overflow in `f32`.
+fn length(way: Vec3) -> f32 {
+    let length = way.length();
+    if length.is_finite() { length } else { way.as_dvec3().length() as f32 }
+}
+
 impl Node {
     /// The visible area of a node: along its normal, or the mean over all directions if it has none.
     pub fn seen(&self) -> f32 {
@@ -222,16 +228,17 @@ impl Node {
             node.enclose_in_a_ball(children);
         } else {
             node.enclose_in_a_disk(children);
-            node.flat = children.iter().map(|child| child.seen_along(normal)).sum();
+            let flat: f32 = children.iter().map(|child| child.seen_along(normal)).sum();
+            node.flat = flat.min(f32::MAX);
             node.cone = children.iter().fold(0.0, |most, child| {
                 let cosine = child.normal.dot(normal).clamp(-1.0, 1.0);
                 most.max(cosine.acos() + child.cone)
             });
         }
         let areas = children.iter().map(|child| child.mean).sum();
-        node.mean = node.matter.joined(areas, node.radius);
+        node.mean = node.matter.joined(areas, node.radius).min(f32::MAX);
         let contrast = ((variance.sqrt() - FAINT) / (STRONG - FAINT)).clamp(0.0, 1.0);
-        let own = (node.lift * node.lift + node.spread * node.spread).sqrt();
+        let own = length(Vec3::new(node.lift, node.spread, 0.0));
         let even = node.radius * contrast;
         node.even = children.iter().fold(even, |most, child| most.max(child.even));
         node.error = children.iter().fold(own.max(even), |most, child| most.max(child.error));
@@ -262,13 +269,13 @@ impl Node {
         for step in 0..4 {
             let far = children.iter().map(|child| {
                 let way = (child.position - self.position).as_vec3();
-                (way.length() + child.reach(), way)
+                (length(way) + child.reach(), way)
             });
             let (_, way) = far.fold((-1.0, Vec3::ZERO), |a, b| if b.0 > a.0 { b } else { a });
             self.position += (way / (step as f32 + 2.0)).as_dvec3();
         }
         self.radius = children.iter().fold(0.0, |most, child| {
-            let way = (child.position - self.position).as_vec3().length();
+            let way = length((child.position - self.position).as_vec3());
             most.max(way + child.reach())
         });
         // A disk that faces the eye shows nothing of the shape within and is as wide as all of it.
@@ -289,7 +296,7 @@ impl Node {
         for step in 0..4 {
             let far = places.iter().zip(children).map(|((at, _), child)| {
                 let way = *at - centre;
-                (way.length() + child.radius, way)
+                (length(way.extend(0.0)) + child.radius, way)
             });
             let (_, way) = far.fold((-1.0, Vec2::ZERO), |a, b| if b.0 > a.0 { b } else { a });
             centre += way / (step as f32 + 2.0);
@@ -302,7 +309,7 @@ impl Node {
             let lift = if child.normal == Vec3::ZERO { 0.0 } else { child.lift };
             let across = child.radius + lift * sine;
             let reach = child.radius * sine + lift;
-            self.radius = self.radius.max((*at - centre).length() + across);
+            self.radius = self.radius.max(length((*at - centre).extend(0.0)) + across);
             low = low.min(height - reach);
             high = high.max(height + reach);
         }

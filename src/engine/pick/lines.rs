@@ -129,8 +129,8 @@ pub(super) fn strands(lines: &PackedLines, wanted: &BTreeSet<u32>) -> Strands {
         for segment in chunk.elements() {
             let Some(&[_, number]) = lines.segments.get(segment) else { continue };
             let after = found.partition_point(|(first, ..)| *first <= number);
-            let before = after.checked_sub(1).and_then(|before| found.get_mut(before));
-            let Some((first, _, vertices)) = before else { continue };
+            let Some(before) = after.checked_sub(1) else { continue };
+            let (first, _, vertices) = &mut found[before];
             let at = (number - *first) as usize;
             // A segment beyond the end belongs to a strand that is not wanted.
             let Some(pair) = vertices.get_mut(at..at + 2) else { continue };
