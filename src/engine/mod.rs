@@ -99,8 +99,7 @@ pub use trace::{Origin, RequestId};
 
 use crate::bake::uncovered::uncovered_share;
 use crate::memory::{self, Admission};
-use crate::plan::Settings;
-use crate::plan::planner::{Measured, Moving};
+use crate::plan::planner::Moving;
 use crate::residency::{Part, model::AssetModel};
 use crate::scene::CameraPath;
 

@@ -12,7 +12,6 @@ use super::frame_job::FrameJob;
 use super::group::groups;
 use super::pick;
 use super::queue::Waiting;
-use super::resolved::Drawing;
 use crate::gpu::bind::BindCache;
 use crate::gpu::buffer::Buffer;
 use crate::gpu::readback::{Landing, Ring};

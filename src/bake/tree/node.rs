@@ -123,7 +123,7 @@ fn kernel_area(kernel: &Kernel) -> f32 {
 }
 
 /// The length of a vector. Squares of coordinates beyond 10¹⁹ overflow in `f32`.
-fn length(way: Vec3) -> f32 {
+fn length_of(way: Vec3) -> f32 {
     let length = way.length();
     if length.is_finite() { length } else { way.as_dvec3().length() as f32 }
 }
@@ -238,7 +238,7 @@ impl Node {
         let areas = children.iter().map(|child| child.mean).sum();
         node.mean = node.matter.joined(areas, node.radius).min(f32::MAX);
         let contrast = ((variance.sqrt() - FAINT) / (STRONG - FAINT)).clamp(0.0, 1.0);
-        let own = length(Vec3::new(node.lift, node.spread, 0.0));
+        let own = length_of(Vec3::new(node.lift, node.spread, 0.0));
         let even = node.radius * contrast;
         node.even = children.iter().fold(even, |most, child| most.max(child.even));
         node.error = children.iter().fold(own.max(even), |most, child| most.max(child.error));
@@ -269,13 +269,13 @@ impl Node {
         for step in 0..4 {
             let far = children.iter().map(|child| {
                 let way = (child.position - self.position).as_vec3();
-                (length(way) + child.reach(), way)
+                (length_of(way) + child.reach(), way)
             });
             let (_, way) = far.fold((-1.0, Vec3::ZERO), |a, b| if b.0 > a.0 { b } else { a });
             self.position += (way / (step as f32 + 2.0)).as_dvec3();
         }
         self.radius = children.iter().fold(0.0, |most, child| {
-            let way = length((child.position - self.position).as_vec3());
+            let way = length_of((child.position - self.position).as_vec3());
             most.max(way + child.reach())
         });
         // A disk that faces the eye shows nothing of the shape within and is as wide as all of it.
@@ -296,7 +296,7 @@ impl Node {
         for step in 0..4 {
             let far = places.iter().zip(children).map(|((at, _), child)| {
                 let way = *at - centre;
-                (length(way.extend(0.0)) + child.radius, way)
+                (length_of(way.extend(0.0)) + child.radius, way)
             });
             let (_, way) = far.fold((-1.0, Vec2::ZERO), |a, b| if b.0 > a.0 { b } else { a });
             centre += way / (step as f32 + 2.0);
@@ -309,7 +309,7 @@ impl Node {
             let lift = if child.normal == Vec3::ZERO { 0.0 } else { child.lift };
             let across = child.radius + lift * sine;
             let reach = child.radius * sine + lift;
-            self.radius = self.radius.max(length((*at - centre).extend(0.0)) + across);
+            self.radius = self.radius.max(length_of((*at - centre).extend(0.0)) + across);
             low = low.min(height - reach);
             high = high.max(height + reach);
         }

@@ -209,7 +209,7 @@ mod tests {
             assert!((strand.share - 0.25 * x).abs() < 1e-4, "{strand:?}");
         }
         // A ray beside the ribbon gets a point of its border.
-        for y in [0.6, -0.6] {
+        for y in [0.6f64, -0.6] {
             let expected = DVec3::new(1.0, 0.4 * y.signum(), -0.3 * y.signum());
             assert!(pick(1.0, y).local.distance(expected) < 1e-3, "{}", pick(1.0, y).local);
         }
