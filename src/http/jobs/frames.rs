@@ -361,10 +361,7 @@ fn parts(
                     yield Ok(Bytes::from(bytes));
                     number += 1;
                 }
-                Ok(Next::Later) => {
-                    // An error means that the job was removed; the next look finds out.
-                    let _ = tokio::time::timeout_at(watcher.until, changes.changed()).await;
-                }
+                Ok(Next::Later) => watcher.changed(&mut changes).await,
                 Ok(Next::End) => break,
                 Err(problem) => {
                     let content = problem.to_json();
