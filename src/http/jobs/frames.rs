@@ -241,7 +241,8 @@ pub async fn multipart(
 ) -> Result<Response, Problem> {
     let from = from(uri.query())?;
     let view = blocking(&app, &owner, &id, |jobs, id| jobs.view(id)).await?;
-    if view.record.made.manifest_sha256.is_some() && !view.record.spec.want.frames {
+    // While the video is made, its frames are still there.
+    if view.record.made.video.is_some() && !view.record.spec.want.frames {
         there(Found::Dropped, 0)?;
     }
     let first = view.record.spec.from.unwrap_or(0);
