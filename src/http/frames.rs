@@ -26,7 +26,10 @@ use super::params::FrameParams;
 use super::problem::{Kind, PROBLEM_JSON, Problem};
 use super::{App, Caller, NoQuery, Phase, Segments, body};
 use crate::encode::ImageFormat;
-use crate::engine::{Client, EncodedFrame, EngineError, FrameTicket, Origin, RequestId};
+use crate::engine::{
+    Client, EncodedFrame, EngineError, FrameRequest, FrameTicket, Origin, RequestId,
+};
+use crate::film::MOST_PIXELS;
 use crate::memory::Reservation;
 
 /// Largest body in bytes.
@@ -145,8 +148,23 @@ pub(super) fn boundary() -> String {
     format!("pointillist-{:016x}{:016x}", random(), random())
 }
 
-/// A queued frame, and its deadline.
-type Promised = (FrameTicket, Option<Instant>);
+/// A queued frame.
+struct Promised {
+    ticket: FrameTicket,
+    deadline: Option<Instant>,
+    pixels: u64,
+}
+
+/// Returns the number of pixels of all queued frames.
+fn pixels_of(pending: &VecDeque<Result<Promised, Problem>>) -> u64 {
+    pending.iter().flatten().map(|promised| promised.pixels).sum()
+}
+
+/// Returns whether another frame may be queued ahead of the one to send, beside `pending` frames with so many pixels. Finished frames
+/// stay in memory until the client reads them, so the window is limited in pixels, too.
+fn has_room(window: usize, pending: usize, pixels: u64) -> bool {
+    pending == 0 || (pending < window && pixels < MOST_PIXELS)
+}
 
 struct Batch {
     app: Arc<App>,
@@ -220,7 +238,11 @@ impl Batch {
         loop {
             let origin = Origin { client: self.client, request_id: self.name(index) };
             match self.app.engine.queue(origin, frame.clone()) {
-                Ok(ticket) => return Some(Ok((ticket, frame.request.deadline))),
+                Ok(ticket) => {
+                    let FrameRequest { deadline, width, height, .. } = frame.request;
+                    let pixels = u64::from(width) * u64::from(height);
+                    return Some(Ok(Promised { ticket, deadline, pixels }));
+                }
                 Err(EngineError::Busy { retry_after }) if turn.elapsed() < MAX_QUEUEING => {
                     if !wait_for_place {
                         return None;
@@ -247,7 +269,7 @@ fn parts(
         // Why no further pose is drawn.
         let mut refusal: Option<Problem> = None;
         for index in 0..batch.poses.len() {
-            while pending.len() < window && next < batch.poses.len() {
+            while has_room(window, pending.len(), pixels_of(&pending)) && next < batch.poses.len() {
                 if refusal.is_none() {
                     match batch.may_draw(pending.is_empty()).await {
                         None => break,
@@ -280,7 +302,7 @@ fn parts(
             }
             let Some(front) = pending.pop_front() else { break };
             let result = match front {
-                Ok((ticket, deadline)) => wait(&batch.app, ticket, deadline).await,
+                Ok(Promised { ticket, deadline, .. }) => wait(&batch.app, ticket, deadline).await,
                 Err(problem) => Err(problem),
             };
             if let Ok(frame) = &result {
@@ -324,6 +346,17 @@ mod tests {
         let (a, b) = (boundary(), boundary());
         assert_ne!(a, b);
         assert!(a.len() <= 70 && a.bytes().all(|c| c.is_ascii_alphanumeric() || c == b'-'));
+    }
+
+    #[test]
+    fn few_large_frames_are_drawn_ahead() {
+        assert!(has_room(32, 31, 31 << 18) && !has_room(32, 32, 0));
+        let (mut pending, pixels) = (0, 1 << 25);
+        while has_room(32, pending, pending as u64 * pixels) {
+            pending += 1;
+        }
+        assert_eq!(pending, 2);
+        assert!(has_room(1, 0, 0) && !has_room(1, 1, 0));
     }
 
     #[test]

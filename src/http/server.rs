@@ -71,9 +71,10 @@ pub async fn serve(
     }
     listening(address);
 
-    let loading = load_scenes(&app, reserved, asked, required);
+    // A signal drops only the reference: the load under way stays in the registry, where `stand_down` finds it.
+    let mut loading = std::pin::pin!(load_scenes(&app, reserved, asked, required));
     tokio::select! {
-        loaded = loading => {
+        loaded = &mut loading => {
             loaded?;
             app.set_phase(Phase::Serving);
             if let Some(followed) = followed {

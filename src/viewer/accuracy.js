@@ -1,6 +1,6 @@
 // What accuracy costs in time: the measured curve of the scene, with the place of the view's own frame, and comparisons of two settings.
 
-import { getJson, reach, sceneUrl } from './api.js';
+import { getJson, isPassing, reach, sceneUrl } from './api.js';
 import { MEASURES, curve, digits, familiesOf, isPlotted, legend, short } from './curve.js';
 import { $, complain, option, quiet } from './message.js';
 import { closeSheet } from './overlay.js';
@@ -8,6 +8,7 @@ import * as settings from './settings.js';
 import { Wipe } from './wipe.js';
 
 const POLL_MS = 700;
+const FAILED_MS = 3000;
 // Size of the plot, in the units of its own image; the panel is about as wide.
 const BOX = { width: 360, height: 300, left: 46, right: 352, top: 8, bottom: 252, ticks: 5, letter: 0 };
 // Names in the list of what a frame is compared with. No row can have such a name.
@@ -61,9 +62,15 @@ export class Accuracy {
     if (!id) return;
     try {
       this.came(id, await getJson(sceneUrl(id, '/accuracy')));
-    } catch {
+    } catch (problem) {
       // Problems are those of the connection, which says so itself, or of a scene that was deleted.
+      if (isPassing(problem) && this.view.scene()?.id === id && this.known?.state === 'running') this.askAgain(FAILED_MS);
     }
+  }
+
+  askAgain(delay) {
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.ask(), delay);
   }
 
   came(id, known) {
@@ -73,7 +80,7 @@ export class Accuracy {
     if (before?.state === 'running' && known?.state === 'failed') complain(known.error, 'accuracy');
     this.show(before?.since_ms !== known?.since_ms);
     clearTimeout(this.timer);
-    if (known?.state === 'running') this.timer = setTimeout(() => this.ask(), POLL_MS);
+    if (known?.state === 'running') this.askAgain(POLL_MS);
   }
 
   start() {

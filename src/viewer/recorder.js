@@ -22,6 +22,7 @@ export class Recorder {
     this.view = view;
     this.path = empty();
     this.name = null; // name of the scene's path that this one is a copy of, while unchanged
+    this.edition = 0; // number of changes so far: most change the path in place
     this.onShow = () => {};
     this.player = new Player(() => this.path, {
       pose: (pose, moving) => view.show(pose, moving),
@@ -81,6 +82,7 @@ export class Recorder {
 
   changed(isKept = true) {
     const { path, name } = this;
+    this.edition++;
     if (isKept && this.sceneId) store.keepPath(this.sceneId, name ? { name } : path.keys.length > 0 ? { path } : null);
     // Messages about the earlier path no longer apply.
     quiet('path');
@@ -196,11 +198,11 @@ export class Recorder {
   // isShown: the view moves to the path's beginning.
   async loadNamed(name, isShown = true) {
     if (!name) return;
-    const { sceneId, path: before } = this;
+    const { sceneId, edition } = this;
     try {
       const path = await getJson(sceneUrl(sceneId, `/paths/${encodeURIComponent(name)}`));
       // Skip it if another path was loaded or recorded meanwhile.
-      if (this.sceneId === sceneId && this.path === before) this.load(JSON.stringify(path), name, name, isShown);
+      if (this.sceneId === sceneId && this.edition === edition) this.load(JSON.stringify(path), name, name, isShown);
     } catch (problem) {
       if (isShown) complain(problem, 'path');
     }

@@ -71,7 +71,8 @@ export class Requests {
       const params = isStill ? wanted.params : this.smaller(wanted.params, scale);
       const response = await reach(frameUrl(wanted.id, params), { signal: flight.abort.signal });
       const image = await response.blob(), picture = await createImageBitmap(image);
-      if (flight.abort.signal.aborted) return picture.close();
+      if (flight.abort.signal.aborted) picture.close();
+      flight.abort.signal.throwIfAborted();
       const elapsedMs = performance.now() - began;
       const receipt = JSON.parse(response.headers.get('Pointillist-Receipt') || 'null');
       const { w: width, h: height, format, quality } = params;
@@ -82,11 +83,11 @@ export class Requests {
         revision: receipt ? receipt.revision : null, quality: isStill ? 'still' : 'moving', bytes: image.size,
       });
     } catch (error) {
-      if (error.name !== 'AbortError') failure = error;
+      if (!flight.abort.signal.aborted) failure = error;
     } finally {
       if (this.flight === flight) this.flight = null;
     }
-    if (failure) this.recover(failure); else this.pump();
+    if (failure) this.recover(failure, flight.seq); else this.pump();
   }
 
   smaller(params, scale) {
@@ -101,10 +102,11 @@ export class Requests {
     else if (elapsedMs < TARGET_MS * 0.5 && this.scale > 0) this.scale--;
   }
 
-  recover(problem) {
-    // The server refuses this pose or these settings. Wait for others, unless another try may help.
+  recover(problem, seq) {
+    // The server refuses this pose or these settings. Wait for others, unless others are there already or another try may help.
     if (isPassing(problem) && problem.status !== 0) this.pump(problem.retry_after_ms || 2000);
-    else this.best = 'still';
+    else if (seq === this.seq) this.best = 'still';
+    else this.pump();
     this.failed(problem);
   }
 }

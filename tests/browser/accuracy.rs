@@ -55,6 +55,12 @@ fn a_point_of_the_curve_draws_the_view() {
         browser.script("return document.getElementById('accuracy-progress').checkVisibility()"),
         true
     );
+    // A question that gets no answer is asked again.
+    browser.script(
+        "const real = fetch; window.asked = 0; globalThis.fetch = (url, options) => \
+         !String(url).endsWith('/accuracy') || asked++ > 0 ? real(url, options) : Promise.reject(new TypeError('no network'))",
+    );
+    browser.wait_for("another question", PATIENCE, "return asked > 1");
     browser.click("#accuracy-cancel");
     browser.wait_for(
         "the end",

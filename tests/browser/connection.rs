@@ -91,6 +91,17 @@ fn frames_come_by_requests_where_there_is_no_stream() {
     assert_ne!(still_picture(&browser), first);
     let states = browser.text("return states.join('\\n')");
     assert!(states.contains("moving") && states.contains("still, refined"), "{states}");
+    // A pose that comes while the frame of the one before is decoded is drawn as well.
+    browser.script(
+        "window.decode = createImageBitmap; \
+         globalThis.createImageBitmap = async image => { const made = await decode(image); await new Promise(go => { window.letGo = go; }); return made; }; \
+         viewer.link.show(false)",
+    );
+    browser.wait_for("a frame that is decoded", PATIENCE, "return Boolean(window.letGo)");
+    browser.script("viewer.canvas.dataset.state = 'waiting'; viewer.link.show(false)");
+    browser.wait_for("the next pose", PATIENCE, "return !viewer.link.isDue");
+    browser.script("globalThis.createImageBitmap = decode; letGo()");
+    still_picture(&browser);
     // Once WebSockets work, the stream continues where the requests were.
     let requested = still_picture(&browser);
     browser.script("globalThis.WebSocket = RealSocket; viewer.link.connect()");

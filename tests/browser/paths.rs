@@ -105,6 +105,20 @@ fn paths_are_saved_and_loaded_and_taken_from_the_scene() {
     let loaded = browser.script("return viewer.recorder.path");
     assert_eq!((&loaded["keys"], &loaded["ease"]), (&kept["keys"], &kept["ease"]));
 
+    // A key that is recorded while a path of the scene arrives stays.
+    browser.script(
+        "const real = fetch; globalThis.fetch = async (url, options) => { const found = await real(url, options); \
+         if (String(url).includes('/paths/')) { globalThis.fetch = real; await new Promise(go => { window.letGo = go; }); } return found; }",
+    );
+    browser.choose("#named", "round");
+    browser.wait_for("the path", PATIENCE, "return Boolean(window.letGo)");
+    browser.script(
+        "viewer.recorder.add(); letGo(); fetch('/v1/limits').then(found => found.json()).then(() => { window.isLater = true; })",
+    );
+    browser.wait_for("a later answer", PATIENCE, "return window.isLater");
+    let recorded = browser.script("return viewer.recorder.name");
+    assert_eq!((recorded, browser.script(KEYS)), (json!(null), json!(3)));
+    browser.click("#path-clear");
     browser.choose("#named", "round");
     browser.wait_for(
         "the scene's keys",

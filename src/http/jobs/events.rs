@@ -114,10 +114,9 @@ fn told(
             }
             // Changes within this time are merged into one event. Removing a job is a change as well.
             tokio::time::sleep(PACE).await;
-            // The sender is gone once the job is removed; the next read finds out.
-            let change = tokio::time::timeout_at(watcher.until, changes.changed()).await;
+            watcher.changed(&mut changes).await;
             // The time limit also ends a stream that always has news.
-            if change.is_err() || watcher.is_over() {
+            if watcher.is_over() {
                 let reason = serde_json::json!({ "id": id.to_string(), "reason": watcher.reason() });
                 yield Ok(Event::default().event("reconnect").retry(RETRY).data(reason.to_string()));
                 return;

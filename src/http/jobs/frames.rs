@@ -241,7 +241,8 @@ pub async fn multipart(
 ) -> Result<Response, Problem> {
     let from = from(uri.query())?;
     let view = blocking(&app, &owner, &id, |jobs, id| jobs.view(id)).await?;
-    if view.record.made.manifest_sha256.is_some() && !view.record.spec.want.frames {
+    // While the video is made, its frames are still there.
+    if view.record.made.video.is_some() && !view.record.spec.want.frames {
         there(Found::Dropped, 0)?;
     }
     let first = view.record.spec.from.unwrap_or(0);
@@ -361,10 +362,7 @@ fn parts(
                     yield Ok(Bytes::from(bytes));
                     number += 1;
                 }
-                Ok(Next::Later) => {
-                    // An error means that the job was removed; the next look finds out.
-                    let _ = tokio::time::timeout_at(watcher.until, changes.changed()).await;
-                }
+                Ok(Next::Later) => watcher.changed(&mut changes).await,
                 Ok(Next::End) => break,
                 Err(problem) => {
                     let content = problem.to_json();

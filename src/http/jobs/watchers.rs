@@ -3,11 +3,13 @@
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
+use tokio::sync::watch;
 use tokio::time::Instant;
 
 use crate::engine::Client;
 use crate::http::App;
 use crate::http::access::signed::Caps;
+use crate::http::limits::{LONGEST_PAUSE, Standing};
 use crate::http::problem::{Kind, Problem};
 
 /// Limits of job watchers.
@@ -25,8 +27,9 @@ pub struct WatchLimits {
 pub struct Watcher {
     app: Arc<App>,
     client: Client,
+    caps: Caps,
     /// End of the answer.
-    pub until: Instant,
+    until: Instant,
     longest: Duration,
 }
 
@@ -42,15 +45,34 @@ impl Watcher {
         }
         let left = caps.until.map(|end| end.duration_since(SystemTime::now()).unwrap_or_default());
         let until = Instant::now() + left.map_or(longest, |left| left.min(longest));
-        Ok(Watcher { app: app.clone(), client, until, longest })
+        Ok(Watcher { app: app.clone(), client, caps: *caps, until, longest })
+    }
+
+    /// Waits for a change of the job, or for the end of the answer.
+    pub async fn changed(&self, changes: &mut watch::Receiver<u64>) {
+        while !self.is_over() {
+            // A key that is removed changes no job.
+            let look = self.until.min(Instant::now() + LONGEST_PAUSE);
+            // An error of the receiver means that the job was removed; the next look finds out.
+            if tokio::time::timeout_at(look, changes.changed()).await.is_ok() {
+                return;
+            }
+        }
     }
 
     pub fn is_over(&self) -> bool {
-        Instant::now() >= self.until
+        Instant::now() >= self.until || self.has_lost_key()
+    }
+
+    fn has_lost_key(&self) -> bool {
+        self.app.standing(self.client, &self.caps) == Standing::Gone
     }
 
     /// Returns the reason for ending the answer.
     pub fn reason(&self) -> String {
+        if self.has_lost_key() {
+            return "the key was removed or has expired".to_owned();
+        }
         format!("this answer reached its limit of {} seconds", self.longest.as_secs())
     }
 }

@@ -238,10 +238,7 @@ impl Playback {
             let next = timeline.map(|timeline| timeline.next(tick, self.began.elapsed()));
             if let Some(Next::Draw(newer)) = next
                 && self.slot.has_replaceable()
-                && let Resolution::Ready(frame) =
-                    self.app.engine.resolve(self.wanted(newer)).map_err(End::Failed)?
-                && let Some(newer_ticket) =
-                    self.slot.replace(self.name_of(newer), &frame).map_err(End::Failed)?
+                && let Some(newer_ticket) = replaced(self.replace(newer))?
             {
                 (ticket, tick) = (newer_ticket, newer);
             }
@@ -271,6 +268,18 @@ impl Playback {
                 None => {}
             }
         }
+    }
+
+    /// Has the request of a newer tick take the place of the one that waits; `None` where that one is drawn instead.
+    fn replace(&mut self, newer: u64) -> Result<Option<FrameTicket>, EngineError> {
+        let Resolution::Ready(frame) = self.app.engine.resolve(self.wanted(newer))? else {
+            return Ok(None);
+        };
+        if self.app.check_caps(&self.caps, &frame).is_err() {
+            return Ok(None);
+        }
+        let name = self.name_of(newer);
+        self.slot.replace(name, &frame)
     }
 
     /// Queues a tick's request; waits for a place in the queue and for baking.
@@ -312,5 +321,35 @@ impl Playback {
             EngineError::UnknownScene { .. } | EngineError::ShuttingDown => Err(End::Over),
             error => Err(End::Failed(error)),
         }
+    }
+}
+
+/// Decides what follows from an attempt to replace a request. Where it failed for a while, as when the device is lost, the old request
+/// still waits and is drawn.
+fn replaced(attempt: Result<Option<FrameTicket>, EngineError>) -> Result<Option<FrameTicket>, End> {
+    match attempt {
+        Ok(ticket) => Ok(ticket),
+        Err(EngineError::Busy { .. } | EngineError::DeviceLost { .. }) => Ok(None),
+        Err(EngineError::UnknownScene { .. } | EngineError::ShuttingDown) => Err(End::Over),
+        Err(error) => Err(End::Failed(error)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lost_device_ends_no_film() {
+        let retry_after = Duration::from_secs(1);
+        for passing in [EngineError::DeviceLost { retry_after }, EngineError::Busy { retry_after }]
+        {
+            assert!(matches!(replaced(Err(passing)), Ok(None)));
+        }
+        let unknown = EngineError::UnknownScene { id: "town".to_owned() };
+        assert!(matches!(replaced(Err(unknown)), Err(End::Over)));
+        assert!(matches!(replaced(Err(EngineError::ShuttingDown)), Err(End::Over)));
+        let failed = EngineError::Internal("no".to_owned());
+        assert!(matches!(replaced(Err(failed)), Err(End::Failed(_))));
     }
 }

@@ -115,9 +115,9 @@ pub fn stand_down(app: &App) {
         return;
     }
     for (id, entry) in app.registry.list() {
-        // The record of a failed upload keeps its count of deaths.
+        // The records of failed uploads, and of those that wait for their turn, keep their counts of deaths.
         if matches!(entry, Entry::Loading { .. })
-            && let Err(error) = store::set_aside(&app.settings.root, &id)
+            && let Err(error) = store::stand_down(&app.settings.root, &id)
         {
             tracing::warn!(id, %error, "cannot write an upload's record");
         }

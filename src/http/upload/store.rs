@@ -211,6 +211,14 @@ pub fn set_aside(root: &Path, id: &str) -> io::Result<()> {
     })
 }
 
+/// Records that the process ends by itself while it loads an upload. An upload that is not being loaded keeps its count of deaths.
+pub fn stand_down(root: &Path, id: &str) -> io::Result<()> {
+    match recorded(root, id)? {
+        Some((_, record)) if record.stage == Stage::Loading => set_aside(root, id),
+        _ => Ok(()),
+    }
+}
+
 /// Changes the record of an upload. A scene without a record was not uploaded.
 fn change(root: &Path, id: &str, edit: impl FnOnce(&mut Record)) -> io::Result<()> {
     let Some((folder, mut record)) = recorded(root, id)? else { return Ok(()) };
@@ -347,6 +355,20 @@ mod tests {
         begin(root, "new").unwrap();
         set_aside(root, "new").unwrap();
         assert!(earlier(root)[2].refusal.is_none());
+    }
+
+    #[test]
+    fn a_stop_clears_only_the_load_under_way() {
+        let root = tempfile::tempdir().unwrap();
+        let root = root.path();
+        let waiting = upload(root, "waiting", &record(Stage::Loaded, true, 1));
+        let loading = upload(root, "loading", &record(Stage::Loaded, true, 1));
+        begin(root, "loading").unwrap();
+        for id in ["waiting", "loading", "absent"] {
+            stand_down(root, id).unwrap();
+        }
+        assert_eq!(Record::read(&waiting).unwrap(), record(Stage::Loaded, true, 1));
+        assert_eq!(Record::read(&loading).unwrap(), record(Stage::Loaded, true, 0));
     }
 
     #[test]

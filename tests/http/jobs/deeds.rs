@@ -479,6 +479,50 @@ fn jobs_are_their_keys_own() {
 }
 
 #[test]
+fn a_removed_key_follows_no_job() {
+    let folder = tempfile::tempdir().unwrap();
+    let keys = folder.path().join("keys");
+    let line = |name: &str, scope: &str, key: &str| {
+        format!("{name} {scope} {}\n", checksum(key.as_bytes()))
+    };
+    fs::write(&keys, line("hand", "write", "w") + &line("root", "admin", "a")).unwrap();
+    let daemon = studio(&["--api-keys", keys.to_str().unwrap()]);
+    let client = daemon.client();
+    let send = |key: &str, method: &str, path: &str, sent: Option<&[u8]>| {
+        let bearer = format!("Bearer {key}");
+        let headers = [("content-type", "application/json"), ("authorization", bearer.as_str())];
+        client.send(method, path, &headers, sent)
+    };
+    // A job that waits for its scene has no events.
+    let long = body(json!({"fps": 1000})).to_string();
+    assert_eq!(send("w", "POST", "/v1/jobs", Some(long.as_bytes())).status, 201);
+    assert_eq!(send("a", "DELETE", "/v1/scenes/grid", None).status, 204);
+    crate::daemon::eventually("the wait", || {
+        send("a", "GET", "/v1/jobs/1", None).json()["waits_for"].is_string()
+    });
+    let open = |what: &str| {
+        let request = format!(
+            "GET /v1/jobs/1/{what} HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer w\r\nConnection: close\r\n\r\n"
+        );
+        let mut answer = BufReader::new(raw(daemon.address, request.as_bytes()));
+        let mut status = String::new();
+        answer.read_line(&mut status).unwrap();
+        assert!(status.contains("200 OK"), "{status}");
+        answer
+    };
+    let answers = [open("events"), open("multipart")];
+    fs::write(&keys, line("root", "admin", "a")).unwrap();
+    let id = daemon.id().to_string();
+    assert!(std::process::Command::new("kill").args(["-HUP", &id]).status().unwrap().success());
+    for mut answer in answers {
+        let mut rest = Vec::new();
+        std::io::Read::read_to_end(&mut answer, &mut rest).unwrap();
+        let rest = String::from_utf8_lossy(&rest);
+        assert!(rest.contains("the key was removed or has expired"), "{} bytes", rest.len());
+    }
+}
+
+#[test]
 fn edited_and_missing_scenes() {
     let daemon = studio(&[]);
     let client = daemon.client();

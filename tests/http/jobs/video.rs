@@ -2,9 +2,9 @@
 
 use serde_json::json;
 
-#[cfg(feature = "video")]
-use super::files;
 use super::{body, checksum, create, ended, studio};
+#[cfg(feature = "video")]
+use super::{files, parts, when};
 
 #[cfg(feature = "video")]
 #[test]
@@ -50,7 +50,12 @@ fn a_job_makes_a_video() {
     assert_eq!(client.send("GET", &address, &[("if-none-match", tag)], None).status, 304);
 
     // A job that only wants a video keeps no frames, even after a restart.
+    daemon.hold_coding(Some(1));
     let alone = create(&client, json!({"want": ["video"], "to": 59, "bitrate_kbps": 200}));
+    when(&client, &alone, "coding", |job| job["stage"] == "video");
+    // Until the video is finished, the frames are there.
+    assert_eq!(parts(&client.get(&format!("/v1/jobs/{alone}/multipart"))).len(), 60);
+    daemon.hold_coding(None);
     ended(&client, &alone, "done");
     let daemon = daemon.restart(&[]);
     let client = daemon.client();
