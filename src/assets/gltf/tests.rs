@@ -527,6 +527,22 @@ fn required_extensions_are_refused_by_name() {
 }
 
 #[test]
+fn required_extensions_of_materials_are_ignored_only_where_they_are() {
+    let mut document = square();
+    document.json["extensionsRequired"] = json!([
+        "KHR_materials_emissive_strength",
+        "KHR_materials_ior",
+        "KHR_materials_transmission",
+        "KHR_materials_volume"
+    ]);
+    let asset = document.read().unwrap();
+    assert!(asset.warnings.is_empty(), "{:?}", asset.warnings);
+    document.json["extensionsRequired"] = json!(["KHR_materials_sheen"]);
+    let asset = document.read().unwrap();
+    assert_eq!(asset.warnings, ["extension KHR_materials_sheen is ignored"]);
+}
+
+#[test]
 fn every_index_and_range_is_checked() {
     let base = textured();
     for (pointer, value, words) in [
