@@ -605,6 +605,9 @@ fn panoramas_show_what_frames_show() {
     }
     let told = shell.complaint(&[&["panorama"][..], &pose, &["-o", "d.jpg"]].concat());
     assert!(told.contains("must end with .png"), "{told}");
+    let beside = ["--eye-offset", "0.1", "-o", "d.png"];
+    let told = shell.complaint(&[&["panorama"][..], &pose, &beside].concat());
+    assert!(told.contains("--eye-offset"), "{told}");
     let large = ["--width", "99999", "-o", "d.png"];
     let told = shell.complaint(&[&["panorama"][..], &pose, &large].concat());
     assert!(told.contains("accepted: up to "), "{told}");

@@ -59,8 +59,8 @@ fn resolve(column: Column) {
             let third = sums_2[pixel];
             let fourth = sums_3[pixel];
             let sums = vec3<u32>(third.xy, fourth.x);
-            surface.normal = blended_normal(sums, inverse_weight, at);
             surface.is_ball = BALLS && is_ball(sums, inverse_weight);
+            surface.normal = select(blended_normal(sums, inverse_weight, at), vec3<f32>(0.0), surface.is_ball);
             if LIT_SINGLY {
                 surface.normal = vec3<f32>(0.0);
                 surface.is_ball = false;

@@ -35,8 +35,8 @@ fn kept_surface(column: Column) -> Surface {
     let packed = normals[column.pixel];
     var surface: Surface;
     surface.color = color_of_kept(colors[column.pixel]);
-    surface.normal = octahedral_decode(packed);
     surface.is_ball = packed == BALL;
+    surface.normal = select(octahedral_decode(packed), vec3<f32>(0.0), surface.is_ball);
     surface.inverse_depth = bitcast<f32>(column.word.y);
     surface.depth_scale = 1.0;
     surface.slot = slot_of(column.word);

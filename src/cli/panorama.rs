@@ -85,6 +85,10 @@ pub fn run(args: PanoramaArgs) -> anyhow::Result<()> {
         !request.settings.is_blurred(),
         "--aperture, --shutter: a panorama is sharp; leave them out"
     );
+    ensure!(
+        request.settings.eye_shift().is_none(),
+        "--eye-offset: each face would be seen from another place; leave it out"
+    );
     let width = args.width.unwrap_or(match args.layout {
         Layout::Equirectangular => 2048,
         Layout::Cube => 1024,

@@ -69,9 +69,10 @@ pub fn run(args: TilesArgs) -> anyhow::Result<()> {
     }
     let limits = engine.limits();
     let parts = request.settings.parts();
-    let step = step_within(limits.max_pixels / u64::from(parts * parts), limits.max_side / parts)
-        .context(
-        "the limits of frames leave no room for parts; raise --max-pixels or --max-side",
+    let exposures = request.clone().with_blur_decided().settings.exposures();
+    let pixels = most_pixels([limits.max_pixels, limits.max_exposed_pixels], parts, exposures);
+    let step = step_within(pixels, limits.max_side / parts).context(
+        "the limits of frames leave no room for parts; raise --max-pixels or --max-side, or lower --blur-samples",
     )?;
     ensure!(
         !is_pyramid || args.tile + 2 * OVERLAP_PX <= step[0].min(step[1]),
@@ -86,6 +87,12 @@ pub fn run(args: TilesArgs) -> anyhow::Result<()> {
         true => write_pyramid(&whole, &args.file, args.tile, step),
         false => write_png(&whole, &args.file, step),
     }
+}
+
+/// Most pixels of a frame whose pixels have `parts` parts a side, and which is the mean of so many exposures. The limits are those of an exposure and of
+/// all exposures.
+fn most_pixels([one, all]: [u64; 2], parts: u32, exposures: u32) -> u64 {
+    one.min(all / u64::from(exposures.max(1))) / u64::from(parts * parts)
 }
 
 /// Largest sides of parts whose frames, with what is around them, have at most `pixels` pixels and `side` a side.
@@ -313,6 +320,19 @@ mod tests {
         }
         assert_eq!(step_within(60_000, 8192), None);
         assert_eq!(step_within(1 << 24, 200), None);
+    }
+
+    #[test]
+    fn parts_with_exposures_keep_within_the_limit_of_all_exposures() {
+        let limits = [1 << 24, 1 << 28];
+        for (parts, exposures) in [(1, 1), (2, 1), (4, 1), (1, 32), (2, 64), (1, 256), (4, 256)] {
+            let pixels = most_pixels(limits, parts, exposures);
+            let drawn = pixels * u64::from(parts * parts);
+            assert!(drawn <= limits[0] && drawn * u64::from(exposures) <= limits[1], "{parts}");
+            let [width, height] = step_within(pixels, 8192).unwrap().map(|side| side + 192);
+            assert!(u64::from(width * height) <= pixels, "{parts} {exposures}");
+        }
+        assert_eq!(most_pixels(limits, 2, 64), 1 << 20);
     }
 
     #[test]

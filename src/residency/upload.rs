@@ -207,10 +207,11 @@ fn looks(model: &SceneModel) -> Looks {
     let maps = materials.clone().any(Material::has_maps);
     let textures = maps || materials.clone().any(|material| material.base_texture.is_some());
     let unlit = materials.clone().any(|material| material.unlit);
-    // Lines have Phong's model, whatever their material.
-    let has_lines = model.counts().segments > 0;
+    // Lines have Phong's model, whatever their material. So has every surface of a node whose material has one of its keys.
+    let has_phong =
+        model.counts().segments > 0 || model.materials.iter().any(MaterialSpec::is_phong);
     let shines =
-        materials.clone().any(|own| own.specular != black && (has_lines || own.physical.is_none()));
+        materials.clone().any(|own| own.specular != black && (has_phong || own.physical.is_none()));
     let physical = materials.clone().any(|own| own.physical.is_some())
         || model.materials.iter().any(MaterialSpec::is_physical);
     let emissive = materials.clone().any(|own| own.emissive != black)

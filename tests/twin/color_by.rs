@@ -4,7 +4,10 @@ use glam::DVec3;
 use pointillist::accuracy::metrics;
 use pointillist::math::View;
 use pointillist::oracle::{self, OracleScene};
-use pointillist::plan::{ColorBound, ColorBy, Edl, Pass, Reconstruct, Reconstruction, Settings};
+use pointillist::plan::{
+    ColorBound, ColorBy, Edl, EdlStrength, Lod, MaxError, Pass, Reconstruct, Reconstruction,
+    Settings,
+};
 use pointillist::scene::Filter;
 use pointillist::scene::recolor::ColorMap;
 use serde_json::json;
@@ -68,6 +71,41 @@ fn colours_by_a_value_are_the_oracles() {
             check(&mesh, &view, given, [0.0; 2]);
             check(&mesh, &flat, given, [0.0; 2]);
         }
+    }
+}
+
+/// Nodes of point trees whose normals cancel are grey as samples without normals are, also where a later pass writes the output.
+#[test]
+fn nodes_of_all_normals_alike_are_grey() {
+    let cloud = || Shape::cloud(8000, [-1.0; 3], [1.0; 3], 5);
+    // Beside each sample lies one with the opposite normal.
+    let (mut both, mut behind) = (cloud(), cloud().moved(DVec3::splat(1e-3)));
+    behind.normals.iter_mut().for_each(|normal| *normal = -*normal);
+    both.add(&behind);
+    let case = case("by-normal-balls", &both, json!({ "lights": [] }));
+    let view = look([0.4, 1.0, 6.0], [0.0; 3], 45.0);
+    let max_error_px = MaxError::new(8.0).unwrap();
+    for reconstruct in [Reconstruct::Points, Reconstruct::Splats] {
+        let settings = Settings {
+            color_by: ColorBy::Normal,
+            lod: Lod::Spt,
+            max_error_px,
+            reconstruct,
+            edl: Edl::Off,
+            ..Settings::default()
+        };
+        let direct = case.draw_with(&view, settings);
+        // So weak that it changes no byte by more than one.
+        let weak = Settings { edl: Edl::On, edl_strength: EdlStrength::from(0.001), ..settings };
+        let kept = case.draw_with(&view, weak);
+        assert!(kept.ran(Pass::WriteOutput) && !direct.ran(Pass::WriteOutput));
+        let grey = direct.color.iter().filter(|pixel| **pixel == [128, 128, 128, 255]).count();
+        assert!(grey > 100, "{reconstruct:?}: {grey} grey pixels");
+        let differ =
+            |(a, b): &(&[u8; 4], &[u8; 4])| a.iter().zip(b.iter()).any(|(a, b)| a.abs_diff(*b) > 3);
+        let differing = direct.color.iter().zip(&kept.color).filter(differ).count();
+        // Normals of blended splats that are nearly too short differ by rounding.
+        assert!(differing * 500 <= direct.color.len(), "{reconstruct:?}: {differing} pixels");
     }
 }
 

@@ -388,6 +388,25 @@ fn nodes_override_reflection() {
     case.check(&look([0.3, 0.4, 5.2], [0.0; 3], 45.0), &tolerance);
 }
 
+/// An exponent alone makes a metal reflect by Phong's model, with the specular colour of its asset.
+#[test]
+fn an_exponent_gives_a_metal_a_highlight() {
+    let mut glb = Glb::new();
+    let gold = glb.material(json!({ "pbrMetallicRoughness": {
+        "metallicFactor": 1, "roughnessFactor": 0.3, "baseColorFactor": [0.6, 0.4, 0.1, 1] } }));
+    let mesh = glb.mesh(&Shape::ball(40, 0.8), Some(gold));
+    glb.node(mesh, json!({}));
+    let (files, mut scene) = scene(glb);
+    scene["materials"] = json!({ "polish": { "shininess": 20 } });
+    scene["nodes"][0]["material"] = json!("polish");
+    scene["lights"] = json!([{ "kind": "headlight" }]);
+    let case = Case::new("physical-exponent", &files, &scene);
+    let frames = case.check(&look([0.0, 0.0, 2.5], [0.0; 3], 45.0), &Tolerance::default());
+    // Scattered light alone would make red 203.
+    let [red, ..] = middle(&frames);
+    assert!(red > 240, "{red}");
+}
+
 /// White surfaces of any material cannot be told apart under white ambient light, metals included.
 #[test]
 fn white_surfaces_under_white_light_are_white() {

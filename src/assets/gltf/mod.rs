@@ -31,13 +31,17 @@ use super::warnings::counted;
 use super::{Asset, AssetError, ReadOptions};
 
 /// Extensions that may be required.
-const SUPPORTED: [&str; 8] = [
+const SUPPORTED: [&str; 12] = [
     "EXT_mesh_gpu_instancing",
     "EXT_texture_webp",
     "KHR_lights_punctual",
+    "KHR_materials_emissive_strength",
+    "KHR_materials_ior",
     "KHR_materials_pbrSpecularGlossiness",
     "KHR_materials_specular",
+    "KHR_materials_transmission",
     "KHR_materials_unlit",
+    "KHR_materials_volume",
     "KHR_mesh_quantization",
     "KHR_texture_transform",
 ];

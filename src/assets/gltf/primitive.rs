@@ -137,11 +137,15 @@ impl<'a> Primitives<'a> {
             self.warnings.push(format!("{place}: is empty and left out"));
             return Ok(None);
         }
+        let tint = material.and_then(|(number, _)| {
+            let [r, g, b, _] = materials.materials.get(number as usize)?.base_color;
+            Some([r, g, b])
+        });
         if mode == Mode::Points {
-            return self.points(attributes, primitive.indices.is_some(), indices, place);
+            return self.points(attributes, primitive.indices.is_some(), indices, tint, place);
         }
         if matches!(mode, Mode::Lines | Mode::LineLoop | Mode::LineStrip) {
-            return self.lines(primitive, mode, &attributes, &indices, place);
+            return self.lines(primitive, mode, &attributes, &indices, tint, place);
         }
         let triangles = self.triangles(mode, &indices, place)?;
         let number = material.map(|(number, _)| match &attributes.uvs {
@@ -253,19 +257,29 @@ impl<'a> Primitives<'a> {
         Ok(Attributes { positions, normals, uvs, colors })
     }
 
+    /// `tint`: base colour of the material.
     fn points(
         &mut self,
         attributes: Rc<Attributes>,
         indexed: bool,
         indices: Vec<u32>,
+        tint: Option<[f32; 3]>,
         place: &str,
     ) -> Result<Option<Geometry>, AssetError> {
         self.keep(indices.len(), 0, place)?;
         let attributes =
             if indexed { attributes.picked(&indices) } else { Rc::unwrap_or_clone(attributes) };
+        let count = attributes.positions.len();
+        let colors = match tint {
+            Some(tint) => {
+                let own = attributes.colors.unwrap_or_else(|| vec![[255; 4]; count]);
+                Some(own.into_iter().map(|color| tinted(color, tint)).collect())
+            }
+            None => attributes.colors,
+        };
         let cloud = PointCloud {
             positions: attributes.positions,
-            colors: attributes.colors,
+            colors,
             normals: attributes.normals,
             ..PointCloud::default()
         };
@@ -346,6 +360,14 @@ impl Attributes {
             colors: self.colors.as_ref().map(|values| pick(values, indices)),
         }
     }
+}
+
+/// The colour of a vertex, times a linear factor.
+fn tinted([r, g, b, alpha]: [u8; 4], tint: [f32; 3]) -> [u8; 4] {
+    let [r, g, b] = [(r, tint[0]), (g, tint[1]), (b, tint[2])].map(|(byte, factor)| {
+        srgb_byte_from_linear(tidy::linear_from_srgb(f32::from(byte) / 255.0) * factor)
+    });
+    [r, g, b, alpha]
 }
 
 /// Without the vertices that no triangle uses: primitives like to share one large accessor.

@@ -224,6 +224,46 @@ fn lines_are_strands() {
 }
 
 #[test]
+fn points_and_lines_have_the_base_color_of_their_material() {
+    let mut document = Document::new();
+    let position = document.square();
+    let color = document.floats(&[1.0, 0.5, 0.25].repeat(4), "VEC3");
+    let few = document.accessor(&[2, 0], "SCALAR", 5121, 2);
+    document.push(
+        "materials",
+        json!({ "pbrMetallicRoughness": { "baseColorFactor": [0.5, 1, 0, 1] } }),
+    );
+    let plain = json!({ "POSITION": position });
+    let colored = json!({ "POSITION": position, "COLOR_0": color });
+    let primitives = json!([
+        { "attributes": plain, "mode": 0, "material": 0 },
+        { "attributes": colored, "mode": 0, "material": 0, "indices": few },
+        { "attributes": plain, "mode": 3, "material": 0 },
+        { "attributes": colored, "mode": 3, "material": 0 },
+        { "attributes": plain, "mode": 0 },
+    ]);
+    document.push("meshes", json!({ "primitives": primitives }));
+    document.node(json!({ "mesh": 0 }));
+    let asset = document.read().unwrap();
+    let colors: Vec<Option<&[[u8; 4]]>> = asset
+        .geometries
+        .iter()
+        .map(|geometry| match geometry {
+            Geometry::Points(cloud) => cloud.colors.as_deref(),
+            Geometry::Lines(lines) => lines.colors.as_deref(),
+            Geometry::Mesh(_) => panic!("a mesh"),
+        })
+        .collect();
+    // Linear 0.5 is sRGB 188.
+    let (factor, product) = ([188, 255, 0, 255], [188, 188, 0, 255]);
+    assert_eq!(colors[0], Some(&[factor; 4][..]));
+    assert_eq!(colors[1], Some(&[product; 2][..]));
+    assert_eq!(colors[2], Some(&[factor; 4][..]));
+    assert_eq!(colors[3], Some(&[product; 4][..]));
+    assert_eq!(colors[4], None);
+}
+
+#[test]
 fn sparse_and_normalised_accessors() {
     let mut document = square();
     let at = document.view(&2u16.to_le_bytes());
@@ -524,6 +564,22 @@ fn required_extensions_are_refused_by_name() {
         assert!(matches!(error, AssetError::Unsupported { .. }));
         assert!(error.to_string().contains(name), "{error}");
     }
+}
+
+#[test]
+fn required_extensions_of_materials_are_ignored_only_where_they_are() {
+    let mut document = square();
+    document.json["extensionsRequired"] = json!([
+        "KHR_materials_emissive_strength",
+        "KHR_materials_ior",
+        "KHR_materials_transmission",
+        "KHR_materials_volume"
+    ]);
+    let asset = document.read().unwrap();
+    assert!(asset.warnings.is_empty(), "{:?}", asset.warnings);
+    document.json["extensionsRequired"] = json!(["KHR_materials_sheen"]);
+    let asset = document.read().unwrap();
+    assert_eq!(asset.warnings, ["extension KHR_materials_sheen is ignored"]);
 }
 
 #[test]
