@@ -187,6 +187,12 @@ impl<'a> Materials<'a> {
         Some(known)
     }
 
+    /// The base colour of a material in linear light; `None` for white, which changes nothing.
+    pub fn tint(&self, number: u32) -> Option<[f32; 3]> {
+        let [r, g, b, _] = self.materials.get(number as usize)?.base_color;
+        ([r, g, b] != [1.0; 3]).then_some([r, g, b])
+    }
+
     /// The material for a mesh without texture coordinates: its textures would show one texel everywhere.
     pub fn without_textures(&mut self, number: u32) -> u32 {
         let Some(own) = self.materials.get(number as usize) else { return number };

@@ -11,7 +11,7 @@ use ::gltf::json::validation::Checked;
 use ::gltf::json::{Index, Root, accessor, mesh};
 use glam::{DVec3, Vec2, Vec3};
 
-use super::super::tidy::{self, srgb_byte_from_linear};
+use super::super::tidy::{self, linear_from_srgb, srgb_byte_from_linear};
 use super::super::{AssetError, Geometry, Mesh, MeshPart, PointCloud, ReadOptions};
 use super::buffers::Buffers;
 use super::material::{Materials, TexturePlacement};
@@ -137,11 +137,13 @@ impl<'a> Primitives<'a> {
             self.warnings.push(format!("{place}: is empty and left out"));
             return Ok(None);
         }
+        // Points and lines have no material here, only colours.
+        let tint = material.and_then(|(number, _)| materials.tint(number));
         if mode == Mode::Points {
-            return self.points(attributes, primitive.indices.is_some(), indices, place);
+            return self.points(attributes, primitive.indices.is_some(), indices, tint, place);
         }
         if matches!(mode, Mode::Lines | Mode::LineLoop | Mode::LineStrip) {
-            return self.lines(primitive, mode, &attributes, &indices, place);
+            return self.lines(primitive, mode, &attributes, &indices, tint, place);
         }
         let triangles = self.triangles(mode, &indices, place)?;
         let number = material.map(|(number, _)| match &attributes.uvs {
@@ -258,14 +260,22 @@ impl<'a> Primitives<'a> {
         attributes: Rc<Attributes>,
         indexed: bool,
         indices: Vec<u32>,
+        tint: Option<[f32; 3]>,
         place: &str,
     ) -> Result<Option<Geometry>, AssetError> {
         self.keep(indices.len(), 0, place)?;
         let attributes =
             if indexed { attributes.picked(&indices) } else { Rc::unwrap_or_clone(attributes) };
+        let colors = match tint {
+            None => attributes.colors,
+            Some(_) => {
+                let own = |at: usize| attributes.colors.as_ref()?.get(at).copied();
+                (0..attributes.positions.len()).map(|at| tinted(own(at), tint)).collect()
+            }
+        };
         let cloud = PointCloud {
             positions: attributes.positions,
-            colors: attributes.colors,
+            colors,
             normals: attributes.normals,
             ..PointCloud::default()
         };
@@ -346,6 +356,15 @@ impl Attributes {
             colors: self.colors.as_ref().map(|values| pick(values, indices)),
         }
     }
+}
+
+/// The colour of a point, or of a vertex of a line, whose material has this base colour.
+fn tinted(color: Option<[u8; 4]>, tint: Option<[f32; 3]>) -> Option<[u8; 4]> {
+    let Some(tint) = tint else { return color };
+    let [r, g, b, alpha] = color.unwrap_or([255; 4]);
+    let [r, g, b] = [r, g, b].map(|own| linear_from_srgb(f32::from(own) / 255.0));
+    let [r, g, b] = [r * tint[0], g * tint[1], b * tint[2]].map(srgb_byte_from_linear);
+    Some([r, g, b, alpha])
 }
 
 /// Without the vertices that no triangle uses: primitives like to share one large accessor.

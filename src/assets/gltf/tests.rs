@@ -178,6 +178,36 @@ fn strips_fans_points_and_lines() {
 }
 
 #[test]
+fn points_and_lines_have_the_base_colour_of_their_material() {
+    let mut document = Document::new();
+    let position = document.square();
+    let half = document.floats(&[0.5, 1.0, 1.0].repeat(4), "VEC3");
+    document.json["materials"] =
+        json!([{ "pbrMetallicRoughness": { "baseColorFactor": [1, 0.5, 0, 1] } }, {}]);
+    let plain = json!({ "POSITION": position });
+    let colored = json!({ "POSITION": position, "COLOR_0": half });
+    let primitives = json!([
+        { "attributes": plain, "mode": 0, "material": 0 },
+        { "attributes": colored, "mode": 0, "material": 0 },
+        { "attributes": plain, "mode": 0, "material": 1 },
+        { "attributes": plain, "mode": 3, "material": 0 },
+    ]);
+    document.push("meshes", json!({ "primitives": primitives }));
+    document.node(json!({ "mesh": 0 }));
+    let asset = document.read().unwrap();
+    let color = |at: usize| match &asset.geometries[at] {
+        Geometry::Points(cloud) => cloud.colors.as_ref().map(|colors| colors[3]),
+        Geometry::Lines(lines) => lines.colors.as_ref().map(|colors| colors[3]),
+        Geometry::Mesh(_) => panic!("a mesh"),
+    };
+    let orange = [255, 188, 0, 255];
+    assert_eq!(color(0), Some(orange));
+    assert_eq!(color(1), Some([188, 188, 0, 255]));
+    assert_eq!(color(2), None);
+    assert_eq!(color(3), Some(orange));
+}
+
+#[test]
 fn lines_are_strands() {
     let mut document = Document::new();
     let position = document.square();

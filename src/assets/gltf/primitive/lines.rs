@@ -14,13 +14,14 @@ impl Primitives<'_> {
         mode: Mode,
         attributes: &Attributes,
         indices: &[u32],
+        tint: Option<[f32; 3]>,
         place: &str,
     ) -> Result<Option<Geometry>, AssetError> {
         let radii = self.radii(primitive, attributes.positions.len(), place)?;
         // A loop ends at its first vertex, and every segment may be a strand.
         let count = indices.len() + 1;
         self.keep(count, 0, place)?;
-        let has_colors = attributes.colors.is_some();
+        let has_colors = attributes.colors.is_some() || tint.is_some();
         let described = strands::Attributes {
             radii: radii.is_some(),
             paint: if has_colors { Paint::Bytes } else { Paint::Nothing },
@@ -31,7 +32,8 @@ impl Primitives<'_> {
         let mut strands = Strands::within(&file, &admission, count as u64, described);
         let add = |strands: &mut Strands, index: u32| {
             let at = index as usize;
-            let color = attributes.colors.as_ref().and_then(|colors| colors.get(at));
+            let own = attributes.colors.as_ref().and_then(|colors| colors.get(at)).copied();
+            let color = tinted(own, tint);
             strands.vertex(Vertex {
                 position: attributes.positions.get(at).copied().unwrap_or(DVec3::NAN),
                 radius: radii.as_ref().and_then(|radii| radii.get(at).copied()).unwrap_or(0.0),
