@@ -261,6 +261,15 @@ impl WordColors {
         }
     }
 
+    /// An alpha that stands beside the colours, in their range.
+    pub(super) fn alpha(self, word: u16) -> u8 {
+        match self.range() {
+            Some(ColorRange::Byte) => word.min(255) as u8,
+            Some(ColorRange::HighByte) => (word >> 8) as u8,
+            _ => ColorRange::Word.byte(f32::from(word)),
+        }
+    }
+
     /// Some of the file's colours.
     pub(super) fn colors(self, words: &[[u16; 3]]) -> Option<Vec<[u8; 4]>> {
         let range = self.range()?;
