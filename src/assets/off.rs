@@ -83,8 +83,11 @@ fn header<R: BufRead>(
         return Err(ended());
     }
     let word = lines.tokens().next().unwrap_or_default().to_owned();
+    // Files of ModelNet have no line end between the keyword and the number of vertices.
+    let digits = word.iter().rev().take_while(|byte| byte.is_ascii_digit()).count();
+    let (keyword, joined) = word.split_at(word.len() - digits);
     let prefix =
-        word.strip_suffix(b"OFF").ok_or_else(|| fail(format!("{} is not OFF", shown(&word))))?;
+        keyword.strip_suffix(b"OFF").ok_or_else(|| fail(format!("{} is not OFF", shown(&word))))?;
     let (has_uvs, prefix) = match prefix.strip_prefix(b"ST") {
         Some(rest) => (true, rest),
         None => (false, prefix),
@@ -93,15 +96,21 @@ fn header<R: BufRead>(
         let reason = format!("{} has another number of dimensions than three", shown(&word));
         return Err(AssetError::unsupported(file, reason));
     }
+    let parsed = |token: &[u8]| {
+        let count = std::str::from_utf8(token).ok().and_then(|text| text.parse::<u64>().ok());
+        count.ok_or_else(|| fail(format!("{} is no count", shown(token))))
+    };
     let mut counts = Vec::new();
+    if !joined.is_empty() {
+        counts.push(parsed(joined)?);
+    }
     let mut skip = 1;
     while counts.len() < 3 {
         for token in lines.tokens().skip(skip) {
             if token == b"BINARY" {
                 return Err(AssetError::unsupported(file, "binary OFF files are not offered"));
             }
-            let count = std::str::from_utf8(token).ok().and_then(|text| text.parse::<u64>().ok());
-            counts.push(count.ok_or_else(|| fail(format!("{} is no count", shown(token))))?);
+            counts.push(parsed(token)?);
         }
         // The number of edges, which means nothing, is missing in some files.
         if counts.len() == 2 && skip == 0 {
@@ -150,7 +159,9 @@ impl Vertices {
         if self.raw_colors.len() != self.positions.len() || self.positions.is_empty() {
             return None;
         }
-        if self.float_colors {
+        // Colours of Geomview count to 1, and may be written without a point. Those that count to 255 would be black.
+        let counts_to_1 = self.raw_colors.iter().flatten().all(|c| c.is_nan() || *c <= 1.0);
+        if self.float_colors || counts_to_1 {
             return Some(tidy::colors_from_floats(&self.raw_colors, warnings));
         }
         let byte = |color: &[f32; 4]| {
@@ -327,6 +338,14 @@ mod tests {
     }
 
     #[test]
+    fn the_keyword_and_the_counts_may_be_joined() {
+        let asset = read(&PLAIN.replacen("OFF # a square\n\n4", "OFF4", 1)).unwrap();
+        assert_eq!(mesh(&asset).positions.len(), 4);
+        assert_eq!(mesh(&asset).triangles.len(), 2);
+        assert!(read("OFFX4 1 4\n").unwrap_err().to_string().contains("is not OFF"));
+    }
+
+    #[test]
     fn prefixes() {
         let asset = read("COFF\n3 1\n0 0 0 255 0 1 128\n1 0 0 1 1 1 1\n0 1 0 0 0 0 0\n3 0 1 2\n");
         let colors = mesh(&asset.unwrap()).colors.clone().unwrap();
@@ -334,6 +353,9 @@ mod tests {
         let floats = read("COFF\n3 1 0\n0 0 0 1 0 0.5\n1 0 0 1 1 1\n0 1 0 0 0 0\n3 0 1 2\n");
         let colors = mesh(&floats.unwrap()).colors.clone().unwrap();
         assert_eq!(colors[0], [255, 0, 128, 255]);
+        let whole = read("COFF\n3 1 0\n0 0 0 1 0 0 1\n1 0 0 0 1 0 1\n0 1 0 0 0 0 1\n3 0 1 2\n");
+        let colors = mesh(&whole.unwrap()).colors.clone().unwrap();
+        assert_eq!(colors, [[255, 0, 0, 255], [0, 255, 0, 255], [0, 0, 0, 255]]);
         let all = "STCNOFF\n3 1 0\n\
             0 0 0 0 0 2 9 8 7 255 0.25 1\n1 0 0 0 0 1 1 1 1 255 0 0\n0 1 0 0 0 1 0 0 0 255 1 1\n3 0 1 2\n";
         let asset = read(all).unwrap();

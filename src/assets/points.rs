@@ -11,7 +11,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::fault::interrupt_of;
-use super::{AssetError, Progress, ReadOptions};
+use super::{AssetError, Progress, ReadOptions, tidy};
 use crate::memory::Admission;
 
 /// A line longer than this is no line of a text point cloud.
@@ -197,7 +197,7 @@ impl ColorRange {
             high_bytes &= value % 256.0 == 0.0;
         }
         match max {
-            _ if max <= 1.0 => Self::Unit,
+            _ if max <= 1.0 || (!whole && max <= tidy::MOST_OF_UNIT) => Self::Unit,
             _ if max <= 255.0 => Self::Byte,
             _ if whole && high_bytes => Self::HighByte,
             _ => Self::Word,
@@ -261,6 +261,15 @@ impl WordColors {
         }
     }
 
+    /// An alpha that stands beside the colours, in their range.
+    pub(super) fn alpha(self, word: u16) -> u8 {
+        match self.range() {
+            Some(ColorRange::Byte) => word.min(255) as u8,
+            Some(ColorRange::HighByte) => (word >> 8) as u8,
+            _ => ColorRange::Word.byte(f32::from(word)),
+        }
+    }
+
     /// Some of the file's colours.
     pub(super) fn colors(self, words: &[[u16; 3]]) -> Option<Vec<[u8; 4]>> {
         let range = self.range()?;
@@ -305,6 +314,8 @@ mod tests {
         let one = |rgb: [f32; 3]| colors(1, |_| rgb).unwrap()[0];
         assert_eq!(colors(2, |_| [0.0, f32::NAN, 0.0]), None);
         assert_eq!(one([0.0, 0.5, 1.0]), [0, 128, 255, 255]);
+        assert_eq!(one([0.5, 1.0, 1.000_000_1]), [128, 255, 255, 255]);
+        assert_eq!(one([0.0, 1.0, 2.0]), [0, 1, 2, 255]);
         assert_eq!(one([0.0, 128.0, 255.0]), [0, 128, 255, 255]);
         assert_eq!(one([0.0, 32768.0, 65280.0]), [0, 128, 255, 255]);
         assert_eq!(one([0.0, 32896.0, 65535.0]), [0, 128, 255, 255]);

@@ -12,7 +12,7 @@ use glam::DVec3;
 
 use super::input::{Input, Origin};
 use super::polygon::Triangulator;
-use super::tokens::{Lines, Tokens, number, shown};
+use super::tokens::{BYTE_ORDER_MARK, Lines, Tokens, number, shown};
 use super::{Asset, AssetError, Geometry, Mesh, ReadOptions, tidy};
 
 const HEADER_BYTES: u64 = 84;
@@ -52,7 +52,7 @@ fn declared_triangles(head: &[u8]) -> Option<u64> {
 
 fn is_ascii(origin: &Origin) -> bool {
     let head = origin.head.as_slice();
-    let text = head.trim_ascii_start();
+    let text = head.strip_prefix(BYTE_ORDER_MARK).unwrap_or(head).trim_ascii_start();
     if !text.get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid")) {
         return false;
     }
@@ -311,6 +311,8 @@ mod tests {
         assert_eq!(mesh(&asset).positions.len(), 4);
         let one_line = ASCII.replace("\n", " ").replacen("solid a b", "solid\n", 1);
         assert_eq!(mesh(&read(one_line).unwrap()).triangles.len(), 2);
+        let marked = format!("\u{feff}{ASCII}");
+        assert_eq!(mesh(&read(marked).unwrap()).triangles.len(), 2, "after a byte order mark");
         let open = ASCII.replace("endsolid a b\n", "");
         assert_eq!(read(open).unwrap().warnings.len(), 1);
     }

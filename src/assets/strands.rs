@@ -23,7 +23,7 @@ pub(super) enum Paint {
     Nothing,
     /// The file has sRGB bytes.
     Bytes,
-    /// The file has sRGB channels up to 1, or up to 255 if one of them is above 1.
+    /// The file has sRGB channels up to 1, or up to 255 if one of them is above [`tidy::MOST_OF_UNIT`].
     Floats,
     /// The absolute coordinates of the direction are red, green and blue, as programs for tracts show them.
     Direction,

@@ -20,7 +20,11 @@ impl Odd {
     }
 }
 
-/// Colours as bytes from floats. A file with any channel above 1 counts from 0 to 255, others from 0
+/// Largest channel of a file whose colours count to 1. Conversions between colour spaces round, and interpolation overshoots; a
+/// file that counts to 255 and has no channel above this is all but black.
+pub(crate) const MOST_OF_UNIT: f32 = 2.0;
+
+/// Colours as bytes from floats. A file with any channel above [`MOST_OF_UNIT`] counts from 0 to 255, others from 0
 /// to 1; not-a-number becomes white.
 pub(crate) fn colors_from_floats(values: &[[f32; 4]], warnings: &mut Vec<String>) -> Vec<[u8; 4]> {
     let bytes = values.iter().any(counts_to_255);
@@ -49,7 +53,7 @@ pub(crate) fn colors_from_floats(values: &[[f32; 4]], warnings: &mut Vec<String>
 
 /// Whether a colour can only be one of those that count from 0 to 255.
 pub(crate) fn counts_to_255(color: &[f32; 4]) -> bool {
-    color.iter().any(|channel| channel.is_finite() && *channel > 1.0)
+    color.iter().any(|channel| channel.is_finite() && *channel > MOST_OF_UNIT)
 }
 
 /// A colour of a file whose colours count from 0 to 255 (`bytes`) or to 1.
@@ -277,6 +281,8 @@ mod tests {
         assert_eq!(unit, [[128, 0, 255, 255]]);
         let byte = colors_from_floats(&[[200.0, 1.0, 300.0, 7.0]], &mut warnings);
         assert_eq!(byte, [[200, 1, 255, 7]]);
+        let rounded = colors_from_floats(&[[1.000_000_1, 0.5, 1.25, 1.0]], &mut warnings);
+        assert_eq!(rounded, [[255, 128, 255, 255]], "slightly above 1 is not 1 of 255");
         assert!(warnings.is_empty());
         let odd = colors_from_floats(&[[f32::NAN, 0.0, 0.0, 1.0]], &mut warnings);
         assert_eq!(odd, [[255; 4]]);

@@ -7,6 +7,9 @@ use super::AssetError;
 /// Longer lines are refused: no text format has them, but binary data read as text does.
 const MAX_LINE_BYTES: u64 = 64 << 20;
 
+/// UTF-8's byte order mark, which some software puts before text.
+pub(crate) const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
+
 /// Powers of ten that f64 holds exactly.
 const EXACT_POWERS: [f64; 23] = [
     1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16,
@@ -54,6 +57,9 @@ impl<'a, R: BufRead> Lines<'a, R> {
             .read_until(self.end, &mut self.line)
             .map_err(|source| AssetError::io(self.file, source))?;
         self.number += 1;
+        if self.number == 1 && self.line.starts_with(BYTE_ORDER_MARK) {
+            self.line.drain(..BYTE_ORDER_MARK.len());
+        }
         if self.line.len() as u64 >= MAX_LINE_BYTES {
             return Err(AssetError::malformed(
                 self.file,
@@ -250,6 +256,15 @@ mod tests {
         assert!(lines.advance_to_content(b'#').unwrap());
         assert_eq!(lines.tokens().collect::<Vec<_>>(), [b"d"]);
         assert!(!lines.advance().unwrap());
+    }
+
+    #[test]
+    fn a_byte_order_mark_is_no_text() {
+        let mut lines = Lines::new(&b"\xef\xbb\xbfv 1\n\xef\xbb\xbfv 2\n"[..], "f");
+        assert!(lines.advance().unwrap());
+        assert_eq!(lines.text(), b"v 1");
+        assert!(lines.advance().unwrap());
+        assert_eq!(lines.text(), b"\xef\xbb\xbfv 2", "only the first line");
     }
 
     #[test]

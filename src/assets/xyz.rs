@@ -114,6 +114,17 @@ impl Delimiter {
         }
     }
 
+    /// Calls `take` with every column's name in a header. Between commas and semicolons, a name may have blanks.
+    fn split_names<'l>(self, line: &'l str, take: &mut impl FnMut(&'l str)) {
+        let separator = match self {
+            Self::Blank | Self::BlankDecimalComma => return self.split(line, take),
+            Self::Comma => ',',
+            Self::Semicolon => ';',
+        };
+        let line = line.strip_suffix(separator).unwrap_or(line);
+        line.split(separator).for_each(|name| take(name.trim()));
+    }
+
     /// A column as a number; one that is empty is missing, which is not a number but no error.
     fn number(self, token: &str) -> Option<f64> {
         let token = token.trim_matches('"');
@@ -180,8 +191,14 @@ impl Table {
 
     /// Takes a line as the header if it names x, y and z.
     fn header(&mut self, line: &str) -> bool {
+        let delimiter = Delimiter::of(line);
         let mut roles = Vec::new();
-        Delimiter::of(line).split(line, &mut |token| roles.push(Kept::named(token)));
+        delimiter.split_names(line, &mut |name| roles.push(Kept::named(name)));
+        if layout::position(&roles).is_none() {
+            // Blanks beside commas separate columns, too.
+            roles.clear();
+            delimiter.split(line, &mut |token| roles.push(Kept::named(token)));
+        }
         let Some(position) = layout::position(&roles).filter(|_| roles.len() <= MAX_COLUMNS) else {
             return false;
         };

@@ -51,11 +51,18 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
     let mut statements = Statements::new(&origin.name, options);
     let mut lines = Lines::new(reader, &origin.name);
     while lines.advance()? {
-        lines.join_continuations()?;
+        // A comment may end in a path's backslash.
+        if !is_comment(lines.tokens()) {
+            lines.join_continuations()?;
+        }
         statements.line(lines.tokens(), lines.number)?;
         statements.meter.reach(statements.bytes())?;
     }
     statements.finish(&origin, options)
+}
+
+fn is_comment(mut tokens: Tokens) -> bool {
+    tokens.next().is_some_and(|word| word.starts_with(b"#"))
 }
 
 #[derive(Clone, Copy)]

@@ -7,7 +7,7 @@ use std::collections::HashMap;
 use super::super::input::{Folder, read_bounded};
 use super::super::texture::{self, TextureBudget};
 use super::super::tidy::linear_from_srgb;
-use super::super::tokens::{Tokens, number};
+use super::super::tokens::{BYTE_ORDER_MARK, Tokens, number};
 use super::super::{
     Encoding, LEAST_ALPHA, MOST_EMISSIVE, Material, Physical, ReadOptions, ScaledMap, Texture, Wrap,
 };
@@ -148,6 +148,7 @@ fn library_text(
 
 /// Adds a library's definitions; the first of a name counts.
 fn parse(text: &[u8], definitions: &mut HashMap<String, Definition>) {
+    let text = text.strip_prefix(BYTE_ORDER_MARK).unwrap_or(text);
     let mut current: Option<(String, Definition)> = None;
     let mut finish = |done: Option<(String, Definition)>| {
         if let Some((name, definition)) = done {
@@ -542,5 +543,7 @@ mod tests {
         parse(b"Kd 9 9 9\nnewmtl a\nKd 1 0 0\r\nnewmtl a\nKd 0 1 0", &mut definitions);
         assert_eq!(definitions["a"].diffuse, Some([1.0, 0.0, 0.0]));
         assert_eq!(definitions.len(), 1);
+        parse(b"\xef\xbb\xbfnewmtl b\nKd 0 0 1", &mut definitions);
+        assert_eq!(definitions["b"].diffuse, Some([0.0, 0.0, 1.0]), "after a byte order mark");
     }
 }

@@ -33,6 +33,19 @@ fn combinations_become_vertices() {
 }
 
 #[test]
+fn comments_do_not_continue() {
+    let asset = read("# from C:\\models\\\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
+    assert_eq!(mesh(&asset).positions, [DVec3::ZERO, DVec3::X, DVec3::Y]);
+}
+
+#[test]
+fn a_byte_order_mark_hides_no_vertex() {
+    let asset = read("\u{feff}v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
+    assert_eq!(mesh(&asset).positions, [DVec3::ZERO, DVec3::X, DVec3::Y]);
+    assert!(asset.warnings.is_empty(), "{:?}", asset.warnings);
+}
+
+#[test]
 fn line_elements_are_strands() {
     let text = "l 1 2/7 3 # forward\nv 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 1 1 0 0 0 1\nl -1 -3\nl 2\n";
     let asset = read(text).unwrap();

@@ -181,7 +181,9 @@ impl Entries {
         {
             let mut field = Field::new(field_name, size, kind, times, offset)
                 .map_err(|(keyword, reason)| bad(keyword, reason))?;
-            if fields.iter().any(|other| other.wanted == field.wanted) {
+            // All scalar fields are alike until they have their numbers.
+            let is_scalar = matches!(field.wanted, Some(Wanted::Scalar(_)));
+            if !is_scalar && fields.iter().any(|other| other.wanted == field.wanted) {
                 field.wanted = None;
             }
             offset += field.bytes();

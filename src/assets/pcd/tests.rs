@@ -89,6 +89,16 @@ fn organised_clouds_skip_pixels_without_depth() {
 }
 
 #[test]
+fn every_scalar_field_is_kept() {
+    let text = "FIELDS x y z intensity ring time\nSIZE 4 4 4 4 2 8\nTYPE F F F F U F\nPOINTS 2\n\
+                DATA ascii\n1 2 3 7 15 100\n4 5 6 8 16 200\n";
+    let cloud = cloud_of(text.as_bytes());
+    assert_eq!(cloud.values_of("intensity"), Some(vec![7.0, 8.0]));
+    assert_eq!(cloud.values_of("ring"), Some(vec![15.0, 16.0]));
+    assert_eq!(cloud.values_of("time"), Some(vec![100.0, 200.0]));
+}
+
+#[test]
 fn separate_channels_and_missing_counts() {
     let text = "FIELDS x y z r g b\nSIZE 4 4 4 1 1 1\nTYPE F F F U U U\nPOINTS 1\nDATA ascii\n\
                 1 2 3 255 0 9";

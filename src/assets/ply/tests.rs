@@ -211,6 +211,10 @@ fn colours_of_every_type() {
         property ushort diffuse_blue\nproperty ushort alpha\n";
     let asset = points(short, "0 0 0 65535 257 0 32896\n");
     assert_eq!(cloud(&asset).colors.as_ref().unwrap()[0], [255, 1, 0, 128]);
+    // Values of 8 bits, as PDAL writes those of LAS files.
+    let asset = points(short, "0 0 0 255 1 0 128\n0 0 1 0 200 0 255\n");
+    let colors = cloud(&asset).colors.as_ref().unwrap();
+    assert_eq!(colors[..], [[255, 1, 0, 128], [0, 200, 0, 255]]);
     let float = "property float color_0\nproperty float color_1\nproperty float color_2\n";
     let asset = points(float, "0 0 0 1 0.5 0\n0 0 1 nan 0 0\n");
     assert_eq!(cloud(&asset).colors.as_ref().unwrap()[0], [255, 128, 0, 255]);

@@ -5,6 +5,7 @@ use std::collections::HashSet;
 use glam::{DVec3, Vec2, Vec3};
 
 use super::super::fields::{self, Column, Fields, INTENSITY, Numbers, Spans};
+use super::super::points::WordColors;
 use super::super::{PointCloud, tidy};
 use super::body::{Row, Wanted};
 use super::header::{Element, Kind, Scalar};
@@ -36,8 +37,9 @@ const NAMES: [&[&str]; SLOTS] = [
 
 enum Colors {
     None,
-    /// Integers, and what one is divided by to give a byte.
-    Bytes(Vec<[u8; 4]>, f64),
+    Bytes(Vec<[u8; 4]>),
+    /// Integers of 16 bits and, unless it is empty, their alpha. Many hold values of 8 bits.
+    Words(Vec<[u16; 3]>, Vec<u16>),
     Floats(Vec<[f32; 4]>),
 }
 
@@ -46,10 +48,18 @@ impl Colors {
     fn are_filled(&self) -> bool {
         match self {
             Colors::None => false,
-            Colors::Bytes(colors, _) => colors.iter().any(|[r, g, b, _]| [*r, *g, *b] != [0; 3]),
+            Colors::Bytes(colors) => colors.iter().any(|[r, g, b, _]| [*r, *g, *b] != [0; 3]),
+            Colors::Words(colors, _) => colors.iter().any(|color| *color != [0; 3]),
             Colors::Floats(colors) => colors.iter().any(|[r, g, b, _]| [*r, *g, *b] != [0.0; 3]),
         }
     }
+}
+
+/// Bytes of colours of 16 bits, of which `range` has seen all.
+fn bytes_of_words(rgb: &[[u16; 3]], alpha: &[u16], range: WordColors) -> Option<Vec<[u8; 4]>> {
+    let mut colors = range.colors(rgb)?;
+    colors.iter_mut().zip(alpha).for_each(|(color, &alpha)| color[3] = range.alpha(alpha));
+    Some(colors)
 }
 
 /// Vertices as they come in.
@@ -110,10 +120,11 @@ impl Vertices {
             Some(Kind::Scalar(scalar)) if scalar.is_float() => {
                 Colors::Floats(Vec::with_capacity(reserve))
             }
-            Some(Kind::Scalar(scalar)) => {
-                let short = matches!(scalar, Scalar::U16 | Scalar::I16);
-                Colors::Bytes(Vec::with_capacity(reserve), if short { 257.0 } else { 1.0 })
+            Some(Kind::Scalar(Scalar::U16 | Scalar::I16)) => {
+                let alpha = if has(COLOR + 3) { reserve } else { 0 };
+                Colors::Words(Vec::with_capacity(reserve), Vec::with_capacity(alpha))
             }
+            Some(Kind::Scalar(_)) => Colors::Bytes(Vec::with_capacity(reserve)),
         };
         Ok(Vertices {
             positions: Vec::with_capacity(reserve),
@@ -152,10 +163,17 @@ impl Vertices {
         }
         match &mut self.colors {
             Colors::None => {}
-            Colors::Bytes(colors, scale) => {
-                let byte = |slot: usize| (v[slot] / *scale).round() as u8;
+            Colors::Bytes(colors) => {
+                let byte = |slot: usize| v[slot].round() as u8;
                 let alpha = if self.has_alpha { byte(COLOR + 3) } else { 255 };
                 colors.push([byte(COLOR), byte(COLOR + 1), byte(COLOR + 2), alpha]);
+            }
+            Colors::Words(colors, alpha) => {
+                let word = |slot: usize| v[slot].round() as u16;
+                colors.push([word(COLOR), word(COLOR + 1), word(COLOR + 2)]);
+                if self.has_alpha {
+                    alpha.push(word(COLOR + 3));
+                }
             }
             Colors::Floats(colors) => {
                 let alpha = if self.has_alpha { v[COLOR + 3] as f32 } else { f32::NAN };
@@ -189,7 +207,12 @@ impl Vertices {
             colors: match self.colors {
                 colors if !colors.are_filled() => None,
                 Colors::None => None,
-                Colors::Bytes(colors, _) => Some(colors),
+                Colors::Bytes(colors) => Some(colors),
+                Colors::Words(colors, alpha) => {
+                    let mut range = WordColors::default();
+                    range.add(&colors);
+                    bytes_of_words(&colors, &alpha, range)
+                }
                 Colors::Floats(colors) => Some(tidy::colors_from_floats(&colors, warnings)),
             },
             uvs: self.uvs,
@@ -238,6 +261,7 @@ pub(in crate::assets) struct Facts {
     has_normals: bool,
     has_colors: bool,
     counts_to_255: bool,
+    words: WordColors,
     fields: Spans,
     has_odd_radii: bool,
 }
@@ -250,6 +274,9 @@ impl Facts {
         self.has_colors = self.has_colors || vertices.colors.are_filled();
         if let Colors::Floats(colors) = &vertices.colors {
             self.counts_to_255 = self.counts_to_255 || colors.iter().any(tidy::counts_to_255);
+        }
+        if let Colors::Words(colors, _) = &vertices.colors {
+            self.words.add(colors);
         }
         // Vertices without a place are left out before values are encoded, but may widen the ranges.
         self.fields.add(&vertices.fields);
@@ -266,7 +293,8 @@ impl Facts {
         }
         let colors = match colors {
             Colors::None => None,
-            Colors::Bytes(colors, _) => Some(colors),
+            Colors::Bytes(colors) => Some(colors),
+            Colors::Words(colors, alpha) => bytes_of_words(&colors, &alpha, self.words),
             Colors::Floats(colors) => {
                 let color = |c: [f32; 4]| tidy::color_from_floats(c, self.counts_to_255);
                 Some(colors.into_iter().map(color).collect())

@@ -93,6 +93,20 @@ fn headers_name_columns() {
 }
 
 #[test]
+fn names_of_columns_may_have_blanks() {
+    for text in [
+        "//X,Y,Z,Gps Time,Return Number\n1,2,3,50,1\n4,5,6,70,2\n",
+        "x; y; z; \"Gps Time\"; return number;\n1;2;3;50;1\n4;5;6;70;2\n",
+    ] {
+        let cloud = cloud_of(text);
+        assert_eq!(cloud.positions[1], DVec3::new(4.0, 5.0, 6.0), "{text}");
+        assert_eq!(cloud.values_of("Gps Time"), Some(vec![50.0, 70.0]), "{text}");
+        assert_eq!(cloud.values_of("return_number"), Some(vec![1.0, 2.0]), "{text}");
+    }
+    assert_eq!(cloud_of("x, y z\n1, 2 3\n").positions, [DVec3::new(1.0, 2.0, 3.0)]);
+}
+
+#[test]
 fn other_columns_are_fields() {
     let text = "x,y,z,scalar_Roughness,Zone,above_ground\n0,0,1,0.5,wood,2\n0,0,2,,field,7\n";
     let cloud = cloud_of(text);
