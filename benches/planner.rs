@@ -44,7 +44,7 @@ const ALL_EVERY: usize = 6;
 /// Frames that the time of a setting is the median of, after a first one.
 const TIMED: usize = 3;
 
-/// What a frame is asked for with.
+/// The goal that a request names.
 #[derive(Clone, Copy)]
 enum Goal {
     BudgetMs(f64),
@@ -102,8 +102,8 @@ impl Goal {
         Settings::from(Given { budget_ms, min_psnr_db, ..Given::default() })
     }
 
-    /// What the chosen setting is worse by than the best that keeps the goal: decibels for a budget, a ratio of times for a PSNR. `None` where no setting
-    /// keeps the goal, or the chosen one does not: that promise counts as broken.
+    /// Returns how much worse the chosen setting is than the best that keeps the goal: decibels for a budget, a ratio of times for a PSNR. Returns `None`
+    /// where no setting keeps the goal. A chosen setting that does not keep it gives `None` as well, since that promise counts as broken.
     fn lost(self, chosen: &str, all: &BTreeMap<String, (f64, f64)>) -> Option<f64> {
         let &(chosen_db, chosen_ms) = all.get(chosen)?;
         let found = match self {

@@ -98,7 +98,7 @@ impl Receipt {
         self.gpu_ns.map(|ns| ns / u64::from(self.views.max(1)))
     }
 
-    /// The same time without the shadow maps, which the next frame from the same pose uses again.
+    /// [`Self::gpu_share_ns`] without the shadow maps: the next frame from the same pose uses them again.
     pub fn gpu_share_without_maps_ns(&self) -> Option<u64> {
         let maps = self.passes.iter().filter(|pass| pass.name == Pass::ShadowMap.name());
         let maps: u64 = maps.filter_map(|pass| pass.gpu_ns).sum();

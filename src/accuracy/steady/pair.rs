@@ -27,7 +27,7 @@ pub struct Pair<'a> {
     pub error_px: usize,
 }
 
-/// What is wrong with a pair, and how much of it may be.
+/// The faults of a pair, and the number of changed pixels that its edges explain.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Judgement {
     /// Pixels whose colours differ visibly: a channel by more than [`SEEN`].
