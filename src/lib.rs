@@ -38,6 +38,7 @@ pub mod http;
 pub mod jobs;
 mod json;
 pub mod load;
+mod lock;
 mod markup;
 pub mod math;
 pub mod memory;

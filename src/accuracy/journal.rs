@@ -3,7 +3,7 @@
 //! The first line says what the survey measures. A run with other arguments, another scene, adapter or build is refused. A last line that
 //! a crash cut off is removed. One process at a time holds the journal's lock.
 
-use std::fs::{File, OpenOptions, TryLockError};
+use std::fs::OpenOptions;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::metrics::{Coverage, Spread};
 use super::temporal::Change;
+use crate::lock::Locked;
 use crate::plan::Given;
 
 /// Name of the journal in the folder of a report.
@@ -178,7 +179,7 @@ pub enum Record {
 #[derive(Debug)]
 pub struct Journal {
     /// The file and its path; `None` for a journal in memory alone.
-    place: Option<(PathBuf, File)>,
+    place: Option<(PathBuf, Locked)>,
     /// Date of the first run.
     pub date: String,
     /// A number that follows from the identity.
@@ -200,18 +201,11 @@ impl Journal {
         if !is_empty && !path.exists() {
             return Err(JournalError::Foreign { folder: folder.to_owned() });
         }
-        let mut file = OpenOptions::new()
-            .read(true)
-            .write(true)
-            .create(true)
-            .truncate(false)
-            .open(&path)
-            .map_err(failed)?;
-        match file.try_lock() {
-            Err(TryLockError::WouldBlock) => return Err(JournalError::InUse { file: path }),
-            Err(TryLockError::Error(error)) => return Err(failed(error)),
-            Ok(()) => {}
-        }
+        let opened =
+            OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
+        let Some(mut file) = opened.and_then(Locked::attempt).map_err(failed)? else {
+            return Err(JournalError::InUse { file: path });
+        };
         let mut text = Vec::new();
         file.read_to_end(&mut text).map_err(failed)?;
         let (records, kept) = parse(&path, &text)?;

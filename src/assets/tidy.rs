@@ -1,7 +1,7 @@
 //! Last steps of every reader: colours to bytes, normals to unit length, vertices
 //! that are nowhere (not-a-number, infinite) and triangles that cover nothing taken out, and said so.
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 
 use super::warnings::counted;
 use super::{AssetError, Mesh, PointCloud};
@@ -150,7 +150,8 @@ pub(crate) fn finish_cloud(
 }
 
 /// Takes out triangles that use a vertex without a place or one vertex twice, then the vertices
-/// without a place. Every index must be in range; `parts` shrink with their triangles.
+/// without a place. Texture coordinates that are not finite become 0. Every index must be in range; `parts` shrink with their
+/// triangles.
 ///
 /// # Errors
 /// No triangle is left.
@@ -222,7 +223,27 @@ pub(crate) fn finish_mesh(
     if !all_placed {
         drop_vertices(&mut mesh, &placed);
     }
+    if let Some(uvs) = &mut mesh.uvs {
+        finite_uvs(uvs, warnings);
+    }
     Ok(mesh)
+}
+
+/// Replaces texture coordinates that are not finite by 0.
+fn finite_uvs(uvs: &mut [Vec2], warnings: &mut Vec<String>) {
+    let mut bad = Odd::default();
+    for (index, uv) in uvs.iter_mut().enumerate().filter(|(_, uv)| !uv.is_finite()) {
+        bad.count(index);
+        *uv = Vec2::ZERO;
+    }
+    if let Some(first) = bad.first {
+        let (one, many) = (
+            "texture coordinate is not finite and is taken as 0",
+            "texture coordinates are not finite and are taken as 0",
+        );
+        let text = counted(bad.count, one, many);
+        warnings.extend(text.map(|text| format!("{text}; the first is that of vertex {first}")));
+    }
 }
 
 fn has_area(positions: &[DVec3], triangle: &[u32; 3]) -> bool {
@@ -319,6 +340,25 @@ mod tests {
         assert_eq!(mesh.triangles, [[0, 1, 2], [1, 2, 3]]);
         assert_eq!(mesh.parts, [MeshPart { triangles: 2, material: Some(1) }]);
         assert_eq!(warnings.len(), 2);
+    }
+
+    #[test]
+    fn texture_coordinates_are_finite() {
+        let mesh = Mesh {
+            positions: vec![DVec3::ZERO, DVec3::X, DVec3::Y],
+            triangles: vec![[0, 1, 2]],
+            uvs: Some(vec![Vec2::ONE, Vec2::new(f32::INFINITY, 0.5), Vec2::NAN]),
+            ..Mesh::default()
+        };
+        let mut warnings = Vec::new();
+        let mesh = finish_mesh(mesh, "f", &mut warnings).unwrap();
+        assert_eq!(mesh.uvs.unwrap(), [Vec2::ONE, Vec2::ZERO, Vec2::ZERO]);
+        assert_eq!(
+            warnings,
+            [
+                "2 texture coordinates are not finite and are taken as 0; the first is that of vertex 1"
+            ]
+        );
     }
 
     #[test]

@@ -14,6 +14,7 @@ use super::serve::{ServeArgs, engine_config};
 use crate::engine::Engine;
 use crate::farm::{Address, Store, Worker};
 use crate::http::server::stop_signal;
+use crate::lock::Locked;
 use crate::memory;
 
 /// Options of `pointillist worker`.
@@ -62,7 +63,7 @@ const LOCK: &str = "lock";
 struct SceneFolder {
     folder: TempDir,
     /// Held while the process lives.
-    _lock: File,
+    _lock: Locked,
 }
 
 impl SceneFolder {
@@ -74,7 +75,7 @@ impl SceneFolder {
                 && let path = entry.path().join(LOCK)
                 && path.symlink_metadata().is_ok_and(|found| found.is_file())
                 && let Ok(lock) = File::open(path)
-                && lock.try_lock().is_ok()
+                && let Ok(Some(_lock)) = Locked::attempt(lock)
                 // Another user's folder cannot be removed.
                 && std::fs::remove_dir_all(entry.path()).is_ok()
             {
@@ -84,8 +85,8 @@ impl SceneFolder {
         let folder = tempfile::Builder::new().prefix(FOLDER_PREFIX).tempdir_in(parent)?;
         // A worker that starts now sees the lock file only when it is locked.
         let unnamed = folder.path().join("lock.new");
-        let lock = File::create(&unnamed)?;
-        lock.lock()?;
+        let lock = Locked::attempt(File::create(&unnamed)?)?;
+        let lock = lock.ok_or(std::io::ErrorKind::WouldBlock)?;
         std::fs::rename(unnamed, folder.path().join(LOCK))?;
         Ok(SceneFolder { folder, _lock: lock })
     }

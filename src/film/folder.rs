@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 
 use super::manifest::{self, Header, Record, Records};
 use super::{FilmError, MANIFEST};
+use crate::lock::Locked;
 
 /// Locked while a process draws into the folder. The file stays afterwards.
 const LOCK: &str = ".frames.lock";
@@ -19,7 +20,7 @@ const WRITING: [&str; 2] = [".", ".part"];
 pub struct Folder {
     path: PathBuf,
     manifest: Option<File>,
-    _lock: File,
+    _lock: Locked,
 }
 
 fn failed(file: &Path) -> impl FnOnce(io::Error) -> FilmError + use<> {
@@ -36,14 +37,8 @@ impl Folder {
         fs::create_dir_all(path).map_err(failed(path))?;
         let name = path.join(LOCK);
         let opened = File::options().create(true).append(true).open(&name);
-        let lock = opened.map_err(failed(&name))?;
-        match lock.try_lock() {
-            Ok(()) => {}
-            Err(fs::TryLockError::WouldBlock) => {
-                return Err(FilmError::Locked { folder: path.to_owned() });
-            }
-            Err(fs::TryLockError::Error(error)) => return Err(failed(&name)(error)),
-        }
+        let lock = opened.and_then(Locked::attempt).map_err(failed(&name))?;
+        let lock = lock.ok_or_else(|| FilmError::Locked { folder: path.to_owned() })?;
         for item in fs::read_dir(path).map_err(failed(path))? {
             let item = item.map_err(failed(path))?;
             let name = item.file_name();

@@ -4,10 +4,11 @@
 //! system releases it however the process ends. NFS locks only files that are open for writing: there, the claim is a lock on the file [`FILE`] in
 //! the root. On a file system without locks the root stays unclaimed, with a warning.
 
-use std::fs::{File, OpenOptions, TryLockError};
+use std::fs::{File, OpenOptions};
 use std::path::Path;
 
 use super::patience::{patience, patiently};
+use crate::lock::Locked;
 
 /// The file that is locked where folders cannot be. It stays when it is unlocked.
 const FILE: &str = ".pointillist-lock";
@@ -15,7 +16,7 @@ const FILE: &str = ".pointillist-lock";
 /// Holds the claim until dropped.
 #[derive(Debug)]
 pub(super) struct Claim {
-    _locked: File,
+    _locked: Locked,
 }
 
 #[derive(Debug, thiserror::Error)]
@@ -61,38 +62,42 @@ fn lock(root: &Path, opened: std::io::Result<File>) -> Result<std::io::Result<Cl
         Ok(file) => file,
         Err(error) => return Ok(Err(error)),
     };
-    match file.try_lock() {
-        Ok(()) => Ok(Ok(Claim { _locked: file })),
-        Err(TryLockError::WouldBlock) => {
-            let holder = holder(&file).map_or("another process".to_owned(), |id| {
+    let number = number(&file);
+    match Locked::attempt(file) {
+        Ok(Some(locked)) => Ok(Ok(Claim { _locked: locked })),
+        Ok(None) => {
+            let holder = number.and_then(holder).map_or("another process".to_owned(), |id| {
                 format!("process {id} ({})", name(id).unwrap_or_default())
             });
             Err(Held { holder, root: root.display().to_string() })
         }
-        Err(TryLockError::Error(error)) => Ok(Err(error)),
+        Err(error) => Ok(Err(error)),
     }
 }
 
-/// The process that holds the lock of a folder, if the system tells.
+/// The number of a file or folder in its file system, where `/proc/locks` names files by it.
 #[cfg(target_os = "linux")]
-fn holder(folder: &File) -> Option<u32> {
+fn number(file: &File) -> Option<u64> {
     use std::os::unix::fs::MetadataExt;
-    let inode = folder.metadata().ok()?.ino();
-    lock_owner(&std::fs::read_to_string("/proc/locks").ok()?, inode)
+    Some(file.metadata().ok()?.ino())
 }
 
 #[cfg(not(target_os = "linux"))]
-fn holder(_: &File) -> Option<u32> {
+fn number(_: &File) -> Option<u64> {
     None
 }
 
+/// The process that holds the lock of a file, if the system tells.
+fn holder(number: u64) -> Option<u32> {
+    lock_owner(&std::fs::read_to_string("/proc/locks").ok()?, number)
+}
+
 /// Finds the owner of a whole-file lock in `/proc/locks`: `1: FLOCK  ADVISORY  WRITE 42 fe:01:1234 0 EOF`.
-#[cfg(any(target_os = "linux", test))]
-fn lock_owner(locks: &str, inode: u64) -> Option<u32> {
+fn lock_owner(locks: &str, number: u64) -> Option<u32> {
     locks.lines().find_map(|line| {
         let words: Vec<&str> = line.split_whitespace().collect();
         let [_, "FLOCK", _, _, owner, file, ..] = words[..] else { return None };
-        let is_it = file.rsplit(':').next()?.parse() == Ok(inode);
+        let is_it = file.rsplit(':').next()?.parse() == Ok(number);
         is_it.then(|| owner.parse().ok()).flatten()
     })
 }

@@ -35,6 +35,7 @@ pub use self::place::Place;
 
 use self::database::{Change, Content, Fault, Ledger, Opener, file_opener};
 use super::book::{Failure, FailureKind, JobId, LARGEST_COUNT, Made, Record, State};
+use crate::lock::Locked;
 
 const LOCK: &str = ".lock";
 const DATABASE: &str = "jobs.redb";
@@ -55,7 +56,7 @@ pub enum StateError {
 pub struct Store {
     books: Mutex<Books>,
     folder: PathBuf,
-    _lock: File,
+    _lock: Locked,
 }
 
 struct Books {
@@ -106,14 +107,9 @@ impl Store {
         let folders = folder.join(FOLDERS);
         make_private(&folders).map_err(failed(&folders))?;
         let name = folder.join(LOCK);
-        let lock = File::options().create(true).append(true).open(&name).map_err(failed(&name))?;
-        match lock.try_lock() {
-            Ok(()) => {}
-            Err(fs::TryLockError::WouldBlock) => {
-                return Err(StateError::Locked { folder: folder.to_owned() });
-            }
-            Err(fs::TryLockError::Error(error)) => return Err(failed(&name)(error)),
-        }
+        let opened = File::options().create(true).append(true).open(&name);
+        let lock = opened.and_then(Locked::attempt).map_err(failed(&name))?;
+        let lock = lock.ok_or_else(|| StateError::Locked { folder: folder.to_owned() })?;
         let mut warnings = Vec::new();
         let file = folder.join(DATABASE);
         let told = |fault| state_error(folder, fault);
