@@ -60,10 +60,11 @@ pub fn pack_lines(lines: &Polylines) -> Result<PackedLines, PackError> {
         // Cells use 30 bits.
         morton((a + b) / 2)
     };
-    let segments: Vec<u32> = lines.segments().collect();
-    let mut order: Vec<(u64, u32)> =
-        segments.par_iter().map(|&vertex| (middle(vertex), vertex)).collect();
-    drop(segments);
+    let mut order: Vec<Ordered> = Vec::with_capacity(lines.positions.len());
+    for (strand, ends) in lines.strands.windows(2).enumerate() {
+        order.extend((ends[0]..ends[1].saturating_sub(1)).map(|v| (0, v, strand as u32)));
+    }
+    order.par_iter_mut().for_each(|segment| segment.0 = middle(segment.1));
     order.par_sort_unstable();
     let sides = lines.normals.as_ref().map(|normals| sides(lines, normals));
     let words = |v: usize| {
@@ -76,17 +77,13 @@ pub fn pack_lines(lines: &Polylines) -> Result<PackedLines, PackError> {
         let radius = (radius / grid.step) as f32;
         [cell.x as u32, cell.y as u32, cell.z as u32, color, radius.to_bits(), normal, side]
     };
-    let mut packer = LinePacker::new(grid, lines.strands.clone());
-    packer.out.vertices.reserve(lines.positions.len());
-    packer.out.segments.reserve(order.len());
-    let always = NodeRange { error_parent: ALWAYS, size_parent: ALWAYS, ..NodeRange::default() };
-    packer.begin(always, lines.positions.len());
-    for &(_, vertex) in &order {
-        let strand = lines.strands.partition_point(|&first| first <= vertex) as u32 - 1;
+    let segment = |vertex: u32, strand: u32| {
         let [first, end] = [strand, strand + 1].map(|at| lines.strands[at as usize]);
-        let word = strand_word(strand, 0, first == vertex, end == vertex + 2);
-        packer.add(&words, vertex, vertex, word);
-    }
+        [strand_word(strand, 0, first == vertex, end == vertex + 2), vertex]
+    };
+    let mut packer = LinePacker::new(grid, lines.strands.clone());
+    let always = NodeRange { error_parent: ALWAYS, size_parent: ALWAYS, ..NodeRange::default() };
+    packer.add(always, lines.positions.len(), &order, words, segment);
     Ok(packer.finished())
 }
 
@@ -114,37 +111,37 @@ fn check_lines(lines: &Polylines) -> Result<(), PackError> {
     if !is_sorted || !is_whole || lengths.iter().flatten().any(|&length| length != count) {
         return Err(PackError::Strands);
     }
-    let is_radius = |&radius: &f32| radius >= 0.0 && radius.is_finite();
-    if let Some(index) = lines.radii.iter().flatten().position(|radius| !is_radius(radius)) {
+    let is_radius = |radius: f32| radius >= 0.0 && radius.is_finite();
+    if let Some(radii) = &lines.radii
+        && let Some(index) = radii.par_iter().position_first(|&radius| !is_radius(radius))
+    {
         return Err(PackError::Radius { index });
     }
-    match lines.normals.iter().flatten().position(|&normal| octahedral(normal) == NO_NORMAL) {
-        Some(index) => Err(PackError::Normal { index }),
-        None => Ok(()),
+    if let Some(normals) = &lines.normals
+        && let Some(index) =
+            normals.par_iter().position_first(|&normal| octahedral(normal) == NO_NORMAL)
+    {
+        return Err(PackError::Normal { index });
     }
+    Ok(())
 }
 
 /// The directions of ribbons' widths at their vertices.
 fn sides(lines: &Polylines, normals: &[Vec3]) -> Vec<Vec3> {
-    let mut sides = vec![Vec3::ZERO; lines.positions.len()];
-    for ends in lines.strands.windows(2) {
+    let of_strand = move |ends: &[u32]| {
         let (first, end) = (ends[0] as usize, ends[1] as usize);
-        #[allow(clippy::needless_range_loop, reason = "the number of the vertex is needed as well")]
-        for vertex in first..end {
-            sides[vertex] = lines.side(normals, vertex, first..end).as_vec3();
-        }
-    }
-    sides
+        (first..end).map(move |vertex| lines.side(normals, vertex, first..end).as_vec3())
+    };
+    lines.strands.par_windows(2).flat_map_iter(of_strand).collect()
 }
+
+/// A segment in the order of packing: the Morton code of its middle, the first of its two vertices, and its strand (or its word, in levels of
+/// detail).
+type Ordered = (u64, u32, u32);
 
 /// Cuts sorted segments into chunks with the vertices that they use.
 struct LinePacker {
     out: PackedLines,
-    range: NodeRange,
-    /// For every vertex: the last chunk that took it, and its index there.
-    stamp: Vec<(u32, u32)>,
-    /// The next segment begins a chunk.
-    opens: bool,
 }
 
 impl LinePacker {
@@ -156,79 +153,96 @@ impl LinePacker {
             segments: Vec::new(),
             strands,
         };
-        LinePacker { out, range: NodeRange::default(), stamp: Vec::new(), opens: true }
+        LinePacker { out }
     }
 
-    /// Chunks from here on have this range, and segments lead to other vertices than those before, so many.
-    fn begin(&mut self, range: NodeRange, vertices: usize) {
-        self.range = range;
-        self.opens = true;
-        self.stamp.clear();
-        self.stamp.resize(vertices, (u32::MAX, 0));
-    }
-
-    /// Adds the segment from a vertex to the next. `number`: the first of both in the file; `word`: see [`strand_word`].
+    /// Adds sorted segments, in chunks of their own that have this range. The segments lead to `count` vertices, whose words are `words`.
+    /// `segment` takes the last two values of an [`Ordered`]. It returns the word (see [`strand_word`]) and the first vertex's number in the file.
+    ///
+    /// Where a chunk ends depends on all segments before: [`Self::cut`] takes one after the other. All else is done in parallel.
     fn add(
         &mut self,
-        words: &impl Fn(usize) -> [u32; LINE_WORDS],
-        vertex: u32,
-        number: u32,
-        mut word: u32,
+        range: NodeRange,
+        count: usize,
+        order: &[Ordered],
+        words: impl Fn(usize) -> [u32; LINE_WORDS] + Sync,
+        segment: impl Fn(u32, u32) -> [u32; 2] + Sync,
     ) {
-        let current = self.out.chunks.len() as u32;
-        let ends = [vertex, vertex + 1];
-        let fits = self.out.chunks.last().is_some_and(|chunk| {
-            let fresh = ends.iter().filter(|&&v| self.stamp[v as usize].0 != current - 1).count();
-            (chunk.count as usize) < CHUNK && chunk.vertex_count as usize + fresh <= CHUNK
+        let first = self.out.segments.len();
+        let used = self.cut(range, count, order);
+        self.out.vertices.par_extend(used.par_iter().map(|&vertex| words(vertex as usize)));
+        let stored = self.out.segments[first..].par_iter_mut();
+        stored.zip(order.par_iter()).for_each(|(stored, &(_, vertex, of_packer))| {
+            let [word, number] = segment(vertex, of_packer);
+            *stored = [stored[0] | word, number];
         });
-        if self.opens || !fits {
-            self.opens = false;
-            self.out.chunks.push(PackedChunk {
-                origin: IVec3::ZERO,
-                extent: IVec3::ZERO,
-                first: self.out.segments.len() as u32,
-                count: 0,
-                shift: 0,
-                vertex_first: self.out.vertices.len() as u32,
-                vertex_count: 0,
-                material: 0,
-                kernel_base: 0.0,
-                sides: Sides::Unknown,
-                translucent: false,
-                range: self.range,
-            });
-        }
-        let number_of_chunk = self.out.chunks.len() as u32 - 1;
-        for (place, &v) in ends.iter().enumerate() {
-            let (owner, local) = self.stamp[v as usize];
-            let local = if owner == number_of_chunk {
-                local
-            } else {
-                let words = words(v as usize);
-                self.out.vertices.push(words);
-                let chunk = &mut self.out.chunks[number_of_chunk as usize];
-                chunk.kernel_base = chunk.kernel_base.max(f32::from_bits(words[4]));
-                let local = chunk.vertex_count;
-                chunk.vertex_count += 1;
-                self.stamp[v as usize] = (number_of_chunk, local);
-                local
-            };
-            word |= local << (10 * place);
-        }
-        self.out.segments.push([word, number]);
-        self.out.chunks[number_of_chunk as usize].count += 1;
     }
 
-    /// The packed lines, with the boxes of their chunks.
-    fn finished(mut self) -> PackedLines {
-        for chunk in &mut self.out.chunks {
-            let run = &self.out.vertices[chunk.vertices()];
+    /// Adds chunks, and segments that have their indices alone. Returns the vertices of the chunks, in their order.
+    fn cut(&mut self, range: NodeRange, count: usize, order: &[Ordered]) -> Vec<u32> {
+        let PackedLines { chunks, segments, vertices, .. } = &mut self.out;
+        // For every vertex: the last chunk that took it, and its index there.
+        let mut stamp = vec![(u32::MAX, 0u32); count];
+        let mut used: Vec<u32> = Vec::with_capacity(count);
+        segments.reserve(order.len());
+        let mut is_open = false;
+        for &(_, vertex, _) in order {
+            let ends = [vertex as usize, vertex as usize + 1];
+            let last = chunks.last().filter(|_| is_open);
+            let fits = last.is_some_and(|chunk| {
+                let number = chunks.len() as u32 - 1;
+                let fresh = ends.iter().filter(|&&v| stamp[v].0 != number).count();
+                (chunk.count as usize) < CHUNK && chunk.vertex_count as usize + fresh <= CHUNK
+            });
+            if !fits {
+                is_open = true;
+                chunks.push(PackedChunk {
+                    origin: IVec3::ZERO,
+                    extent: IVec3::ZERO,
+                    first: segments.len() as u32,
+                    count: 0,
+                    shift: 0,
+                    vertex_first: (vertices.len() + used.len()) as u32,
+                    vertex_count: 0,
+                    material: 0,
+                    kernel_base: 0.0,
+                    sides: Sides::Unknown,
+                    translucent: false,
+                    range,
+                });
+            }
+            let number = chunks.len() - 1;
+            let chunk = &mut chunks[number];
+            let mut link = 0u32;
+            for (place, v) in ends.into_iter().enumerate() {
+                let (owner, local) = &mut stamp[v];
+                if *owner != number as u32 {
+                    (*owner, *local) = (number as u32, chunk.vertex_count);
+                    chunk.vertex_count += 1;
+                    used.push(v as u32);
+                }
+                link |= *local << (10 * place);
+            }
+            chunk.count += 1;
+            segments.push([link, 0]);
+        }
+        used
+    }
+
+    /// The packed lines, with the boxes and the largest radii of their chunks.
+    fn finished(self) -> PackedLines {
+        let mut out = self.out;
+        let vertices = &out.vertices;
+        out.chunks.par_iter_mut().for_each(|chunk| {
+            let run = &vertices[chunk.vertices()];
             let low = run.iter().map(cell_of).fold(IVec3::MAX, IVec3::min);
             let high = run.iter().map(cell_of).fold(IVec3::MIN, IVec3::max);
             chunk.origin = low;
             chunk.extent = high - low;
-        }
-        self.out
+            chunk.kernel_base =
+                run.iter().map(|words| f32::from_bits(words[4])).fold(0.0, f32::max);
+        });
+        out
     }
 }
 
@@ -299,7 +313,7 @@ pub fn pack_levels(
     for (range, pieces) in levels {
         let vertices: Vec<LineVertex> =
             pieces.iter().flat_map(|piece| piece.vertices.iter().copied()).collect();
-        let mut order = Vec::with_capacity(vertices.len());
+        let mut order: Vec<Ordered> = Vec::with_capacity(vertices.len());
         let mut first = 0;
         for piece in pieces {
             let last = first + piece.vertices.len() as u32 - 1;
@@ -317,11 +331,9 @@ pub fn pack_levels(
             first = last + 1;
         }
         order.par_sort_unstable();
-        packer.begin(*range, vertices.len());
         let words = |v: usize| vertices[v].words;
-        for &(_, vertex, word) in &order {
-            packer.add(&words, vertex, vertices[vertex as usize].number, word);
-        }
+        let segment = |vertex: u32, word: u32| [word, vertices[vertex as usize].number];
+        packer.add(*range, vertices.len(), &order, words, segment);
         if u32::try_from(packer.out.vertices.len()).is_err() {
             return Err(PackError::TooMany);
         }
@@ -331,9 +343,9 @@ pub fn pack_levels(
 
 /// Bytes that packing lines needs.
 pub(super) fn packing_bytes(lines: &Polylines) -> u64 {
-    // Cells, stamps, sides and packed vertices; the order, its keys and packed segments; chunks that share no vertices store them twice.
-    (12 + 8 + 12 + 2 * 28) * lines.positions.len() as u64
-        + (4 + 16 + 8) * lines.positions.len() as u64
+    // Cells, stamps, sides, and packed vertices with their numbers, twice: chunks that share a vertex each store it. The order and packed segments.
+    (12 + 8 + 12 + 2 * (28 + 4)) * lines.positions.len() as u64
+        + (16 + 8) * lines.positions.len() as u64
         + 4 * lines.strands.len() as u64
 }
 

@@ -62,6 +62,71 @@ fn every_segment_is_packed_once_with_the_words_of_its_vertices() {
     assert!(packed.vertices.len() < 2 * lines.positions.len(), "{}", packed.vertices.len());
 }
 
+/// Packs one segment after the other into chunks. Returns the vertices of each chunk, and for each segment its chunk, the indices of both ends
+/// there, and its number.
+fn packed_in_turn(lines: &Polylines, grid: &Grid) -> (Vec<Vec<u32>>, Vec<[u32; 4]>) {
+    let cells: Vec<IVec3> = lines.positions.iter().map(|&p| grid.quantise(p)).collect();
+    let middle = |v: u32| morton((cells[v as usize] + cells[v as usize + 1]) / 2);
+    let mut order: Vec<u32> = lines.segments().collect();
+    order.sort_by_key(|&v| (middle(v), v));
+    let (mut chunks, mut segments) = (Vec::<Vec<u32>>::new(), Vec::new());
+    let mut in_last = 0;
+    for v in order {
+        let fits = chunks.last().is_some_and(|chunk| {
+            let fresh = [v, v + 1].iter().filter(|end| !chunk.contains(end)).count();
+            in_last < CHUNK && chunk.len() + fresh <= CHUNK
+        });
+        if !fits {
+            chunks.push(Vec::new());
+            in_last = 0;
+        }
+        let number = chunks.len() - 1;
+        let chunk = &mut chunks[number];
+        let ends = [v, v + 1].map(|end| {
+            chunk.iter().position(|&held| held == end).unwrap_or_else(|| {
+                chunk.push(end);
+                chunk.len() - 1
+            })
+        });
+        segments.push([number as u32, ends[0] as u32, ends[1] as u32, v]);
+        in_last += 1;
+    }
+    (chunks, segments)
+}
+
+#[test]
+fn packing_in_parallel_gives_what_packing_in_turn_gives() {
+    // Long strands fill chunks with segments, short ones with vertices.
+    for (strands, count) in [(40, 150), (2500, 2), (900, 4)] {
+        let mut lines = many(strands, count);
+        lines.normals = Some(vec![Vec3::Z; lines.positions.len()]);
+        let packed = pack_lines(&lines).unwrap();
+        packed.check().unwrap();
+        let (chunks, segments) = packed_in_turn(&lines, &packed.grid);
+        assert!(chunks.len() > 2);
+        assert_eq!((chunks.len(), segments.len()), (packed.chunks.len(), packed.len()));
+        for (chunk, vertices) in packed.chunks.iter().zip(&chunks) {
+            let words = &packed.vertices[chunk.vertices()];
+            assert_eq!(words.len(), vertices.len());
+            let most = words.iter().map(|words| f32::from_bits(words[4])).fold(0.0, f32::max);
+            assert_eq!(chunk.kernel_base, most);
+            for (words, &vertex) in words.iter().zip(vertices) {
+                assert_eq!(cell_of(words), packed.grid.quantise(lines.positions[vertex as usize]));
+                let color = lines.colors.as_ref().unwrap()[vertex as usize];
+                assert_eq!(words[3], u32::from_le_bytes(color));
+            }
+        }
+        for (at, &[chunk, begin, end, vertex]) in segments.iter().enumerate() {
+            let [word, number] = packed.segments[at];
+            assert!(packed.chunks[chunk as usize].elements().contains(&at));
+            assert_eq!([word & 0x3ff, word >> 10 & 0x3ff, number], [begin, end, vertex]);
+            let (strand, place) = (vertex / count as u32, vertex as usize % count);
+            let expected = strand_word(strand, 0, place == 0, place + 2 == count);
+            assert_eq!(word >> 20, expected >> 20);
+        }
+    }
+}
+
 #[test]
 fn ribbons_share_the_directions_of_their_widths() {
     let mut lines = many(2, 20);
