@@ -8,6 +8,7 @@
 //!include shared/resolve_each
 //!include shared/light
 //!include shared/recolor
+//!include FIELDS
 
 @group(2) @binding(3) var<storage, read> placed: array<Placed>;
 
@@ -138,9 +139,10 @@ fn resolve(column: Column) {
     }
     let color_a = linear_color(line_vertices[seen.line.words.x + 3u]);
     let color_b = linear_color(line_vertices[seen.line.words.y + 3u]);
-    let color = material.base_color.rgb * mix(color_a, color_b, share);
-    // Lines have no scalar fields to show.
-    surface.color = select(color, linear_color(GREY), COLOR_BY == BY_FIELD);
+    surface.color = material.base_color.rgb * mix(color_a, color_b, share);
+    if SHOWS_FIELD {
+        surface.color = linear_color(field_color_between(seen.line.words / LINE_WORDS, share, instance));
+    }
     if is_round {
         finish(column.pixel, column.at, surface);
         return;

@@ -59,6 +59,21 @@ impl Field {
     pub fn value(&self, words: &[u32]) -> Option<f64> {
         self.scale.value(self.code(words))
     }
+
+    /// The value at a share of the way between two vertices of a line, which changes evenly. Classes change in the middle, and so does a value that
+    /// one of the vertices lacks.
+    pub fn between(&self, [a, b]: [&[u32]; 2], share: f64, is_class: bool) -> Option<f64> {
+        match (self.value(a), self.value(b)) {
+            (Some(a), Some(b)) if !is_class => Some(a + (b - a) * share),
+            (a, b) => {
+                if share < 0.5 {
+                    a
+                } else {
+                    b
+                }
+            }
+        }
+    }
 }
 
 /// The scalar fields of a cloud. Each point has a few words, which hold the codes of all fields.

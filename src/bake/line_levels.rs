@@ -5,8 +5,8 @@
 //! next.
 //!
 //! - *Simplification.* Vertices are dropped as long as the tube through those that stay is within `e / 4` of every vertex that was there,
-//!   in position plus radius. All steps up to a level add up to `e / 2`. Vertices that stay take over radius and colour of those dropped beside
-//!   them, by the area that they show, so that thin strands keep their area even where they lose length.
+//!   in position plus radius. All steps up to a level add up to `e / 2`. Vertices that stay take over radius, colour and scalar fields of those
+//!   dropped beside them, by the area that they show, so that thin strands keep their area even where they lose length.
 //! - *Pruning* (R. Cook, J. Halstead, M. Planck, D. Ryu, *Stochastic Simplification of Aggregate Detail*, SIGGRAPH 2007). Where many strands
 //!   run through a cell of size `e`, some are left out and the others become wider by as much, up to a width of `e`. A fixed random number for each
 //!   strand decides, so that the strands of a level are among those of the level before. In a cell, about [`LEAST_KEPT`] strands are
@@ -18,8 +18,8 @@ use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::pack::{
-    ALWAYS, LINE_WORDS, LineVertex, NodeRange, PackError, PackedLines, Piece, pack_levels,
-    unpack_lines,
+    ALWAYS, LINE_WORDS, Layout, LineVertex, NodeRange, PackError, PackedLines, Piece, Values,
+    pack_levels, unpack_lines,
 };
 use crate::scene::color::{srgb_from_linear, to_linear};
 
@@ -76,6 +76,7 @@ impl Vertex {
 /// See [`pack_levels`].
 pub fn line_levels(lines: &PackedLines) -> Result<PackedLines, PackError> {
     let strands: Vec<Piece<Vertex>> = unpack_lines(lines).into_par_iter().map(read).collect();
+    let source = Source { firsts: &lines.strands, fields: Layout::of(&lines.fields) };
     let segments = count(&strands);
     // Summed in order, so that the sum is always the same.
     let lengths: Vec<f32> = strands.par_iter().map(|piece| length_of(&piece.vertices)).collect();
@@ -85,20 +86,20 @@ pub fn line_levels(lines: &PackedLines) -> Result<PackedLines, PackError> {
     let split: Vec<Piece<Vertex>> = strands
         .into_par_iter()
         .map(|piece| {
-            let vertices = split_at(&piece.vertices, LONGEST_FULL * mean);
+            let vertices = split_at(&piece.vertices, LONGEST_FULL * mean, &source.fields);
             Piece { vertices, ..piece }
         })
         .collect();
     let mut levels = vec![(0.0, split)];
     let mut error = (FIRST * mean).max(LEAST_ERROR).log2().ceil().exp2();
-    let mut last = next_level(&levels[0].1, &lines.strands, error, mean);
+    let mut last = next_level(&levels[0].1, &source, error, mean);
     let mut kept = segments;
     while kept > FEWEST && error < 2.0 * extent {
         let found = count(&last);
         if found == 0 {
             break;
         }
-        let coarser = next_level(&last, &lines.strands, 2.0 * error, mean);
+        let coarser = next_level(&last, &source, 2.0 * error, mean);
         if found as f64 <= SAVING * kept as f64 {
             kept = found;
             levels.push((error, last));
@@ -181,20 +182,20 @@ fn extent_of(lines: &PackedLines) -> f32 {
 }
 
 /// Splits a strand's segments so that none is longer than this.
-fn split_at(vertices: &[Vertex], longest: f32) -> Vec<Vertex> {
+fn split_at(vertices: &[Vertex], longest: f32, fields: &Layout) -> Vec<Vertex> {
     let mut split = Vec::with_capacity(vertices.len());
     for pair in vertices.windows(2) {
         let [a, b] = [pair[0], pair[1]];
         split.push(a);
         let parts = (a.to(&b).length() / longest.max(1.0)).ceil().clamp(1.0, 4096.0) as i32;
-        split.extend((1..parts).map(|part| between(&a, &b, part, parts)));
+        split.extend((1..parts).map(|part| between(&a, &b, (part, parts), fields)));
     }
     split.extend(vertices.last());
     split
 }
 
 /// The vertex at `part / parts` of a segment.
-fn between(a: &Vertex, b: &Vertex, part: i32, parts: i32) -> Vertex {
+fn between(a: &Vertex, b: &Vertex, (part, parts): (i32, i32), fields: &Layout) -> Vertex {
     let share = part as f32 / parts as f32;
     let from = a.packed.cell();
     let way = (b.packed.cell() - from).as_dvec3() * (f64::from(part) / f64::from(parts));
@@ -206,6 +207,8 @@ fn between(a: &Vertex, b: &Vertex, part: i32, parts: i32) -> Vertex {
         // Directions of ribbons are those of the nearer end.
         packed.words[5..LINE_WORDS].copy_from_slice(&b.packed.words[5..LINE_WORDS]);
     }
+    let ends = [(a.packed.values, 1.0 - share), (b.packed.values, share)];
+    packed.values = fields.above(ends.into_iter());
     let mix = |a: f32, b: f32| a + (b - a) * share;
     Vertex {
         packed,
@@ -215,24 +218,34 @@ fn between(a: &Vertex, b: &Vertex, part: i32, parts: i32) -> Vertex {
     }
 }
 
-/// The level of an error above a finer one. `mean`: length of segments at full detail; `firsts`: the first vertex of each strand.
+/// What levels need to know of the lines that they are made of.
+struct Source<'l> {
+    /// The first vertex of each strand.
+    firsts: &'l [u32],
+    fields: Layout,
+}
+
+/// The level of an error above a finer one. `mean`: length of segments at full detail.
 fn next_level(
     finer: &[Piece<Vertex>],
-    firsts: &[u32],
+    source: &Source<'_>,
     error: f32,
     mean: f32,
 ) -> Vec<Piece<Vertex>> {
     let longest = (LONGEST * error).max(LONGEST_FULL * mean);
     let simple: Vec<Piece<Vertex>> = finer
         .par_iter()
-        .map(|piece| Piece { vertices: simplified(&piece.vertices, error, longest), ..*piece })
+        .map(|piece| {
+            let vertices = simplified(&piece.vertices, error, longest, &source.fields);
+            Piece { vertices, ..*piece }
+        })
         .collect();
     // Below, cells hold less than a segment.
-    if error < mean { simple } else { pruned(simple, firsts, error) }
+    if error < mean { simple } else { pruned(simple, source.firsts, error) }
 }
 
 /// Drops vertices of a strand. Those that stay are the ends of runs.
-fn simplified(vertices: &[Vertex], error: f32, longest: f32) -> Vec<Vertex> {
+fn simplified(vertices: &[Vertex], error: f32, longest: f32, fields: &Layout) -> Vec<Vertex> {
     let tolerance = 0.25 * error;
     let mut stay = vec![0];
     let mut from = 0;
@@ -250,6 +263,9 @@ fn simplified(vertices: &[Vertex], error: f32, longest: f32) -> Vec<Vertex> {
     }
     let mut kept: Vec<Vertex> = stay.iter().map(|&v| vertices[v]).collect();
     take_over(&mut kept, vertices, &stay, error);
+    if !fields.is_empty() {
+        take_over_values(&mut kept, vertices, &stay, fields);
+    }
     kept
 }
 
@@ -323,6 +339,29 @@ fn take_over(kept: &mut [Vertex], vertices: &[Vertex], stay: &[usize], error: f3
             vertex.radius = (sum.area / length.max(1e-9)).clamp(mean, mean.max(widest));
             vertex.color = sum.color.map(|c| c / sum.weight);
         }
+    }
+}
+
+/// Gives the vertices that stay the values of what they stand for: means by the area that is shown, and of classes the largest.
+fn take_over_values(kept: &mut [Vertex], vertices: &[Vertex], stay: &[usize], fields: &Layout) {
+    let lengths = half_lengths(vertices);
+    let mut parts: Vec<Vec<(Values, f32)>> = vec![Vec::new(); kept.len()];
+    let mut add = |at: usize, vertex: usize, share: f32| {
+        let own = &vertices[vertex];
+        // As colours do: strands of a width of 0 have values, too.
+        parts[at].push((own.packed.values, lengths[vertex] * share * own.radius.max(1e-6)));
+    };
+    for (at, pair) in stay.windows(2).enumerate() {
+        add(at, pair[0], 1.0);
+        for vertex in pair[0] + 1..pair[1] {
+            let share = share_of(&vertices[pair[0]], &vertices[pair[1]], &vertices[vertex]);
+            add(at, vertex, 1.0 - share);
+            add(at + 1, vertex, share);
+        }
+    }
+    add(stay.len() - 1, vertices.len() - 1, 1.0);
+    for (vertex, parts) in kept.iter_mut().zip(&parts) {
+        vertex.packed.values = fields.above(parts.iter().copied());
     }
 }
 

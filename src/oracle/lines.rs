@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use crate::assets::{Material, Polylines};
 use crate::math::{Tube, View};
-use crate::scene::recolor::{NO_VALUE, Recolor};
+use crate::scene::recolor::Recolor;
 
 use super::color::linear_from_srgba8;
 use super::prepare::{Prepared, PreparedItem};
@@ -225,6 +225,8 @@ pub fn surface(
     let ends = [hit.index as usize, hit.index as usize + 1];
     let mix = |[a, b]: [f64; 2], share: f64| a + (b - a) * share;
     let share = mix(seen.range, met.share);
+    let recolor = prepared.scene.recolor.as_ref();
+    let shown = recolor.and_then(|recolor| Some((recolor, recolor.field()?)));
     let mut color = [1.0; 4];
     if let Some(colors) = &lines.colors {
         let [a, b] = ends.map(|v| linear_from_srgba8(colors[v]));
@@ -233,8 +235,13 @@ pub fn surface(
     for (channel, factor) in color.iter_mut().zip(material.base_color) {
         *channel *= f64::from(factor);
     }
-    if let Some(Recolor::Field { .. }) = prepared.scene.recolor {
-        let [r, g, b, _] = linear_from_srgba8([NO_VALUE, NO_VALUE, NO_VALUE, 255]);
+    if let Some((recolor, name)) = shown {
+        let field = lines.fields.list().iter().find(|field| field.name == name);
+        let is_class = matches!(recolor, Recolor::Field { has_classes: true, .. });
+        let at = ends.map(|vertex| lines.fields.at(vertex));
+        let value = field.and_then(|field| field.between(at, share, is_class));
+        let [r, g, b] = recolor.field_color(value);
+        let [r, g, b, _] = linear_from_srgba8([r, g, b, 255]);
         color = [r, g, b, color[3]];
     }
     match seen.shape {

@@ -4,7 +4,6 @@ use glam::{DVec2, DVec3};
 
 use crate::assets::{Geometry, Material, Mesh, Physical, PointCloud, ScaledMap};
 use crate::math::View;
-use crate::scene::fields::{class_color, class_number};
 use crate::scene::recolor::{NO_VALUE, Recolor, instance_color, share};
 
 use super::color::linear_from_srgba8;
@@ -54,7 +53,7 @@ impl Surface {
     /// Replaces the colour by that of a value, if one is given; `instance`: number of the instance.
     pub fn recolor(&mut self, recolor: Option<&Recolor>, view: &View, instance: u32) {
         let srgb = match recolor {
-            // Samples have the colours of fields, and triangles their grey, from the beginning.
+            // Samples and lines have the colours of fields, and triangles their grey, from the beginning.
             None | Some(Recolor::Field { .. }) => return,
             Some(Recolor::Height { up, range, map }) => {
                 let height = up.normalize_or(DVec3::Y).dot(view.eye + self.position_from_eye);
@@ -183,13 +182,8 @@ fn base(
 
 /// The colour that a scalar field gives a sample; `None` if no field is shown.
 fn field_color(recolor: Option<&Recolor>, cloud: &PointCloud, sample: usize) -> Option<[u8; 4]> {
-    let Some(Recolor::Field { name, range, map, has_classes }) = recolor else { return None };
-    let value = cloud.value(name.as_str(), sample);
-    let [r, g, b] = match value {
-        None => [NO_VALUE; 3],
-        Some(class) if *has_classes => class_color(class_number(class)),
-        Some(value) => map.at(share(value, *range)).map(|channel| (channel * 255.0).round() as u8),
-    };
+    let (recolor, name) = recolor.and_then(|recolor| Some((recolor, recolor.field()?)))?;
+    let [r, g, b] = recolor.field_color(cloud.value(name, sample));
     Some([r, g, b, 255])
 }
 

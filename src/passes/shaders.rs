@@ -288,7 +288,7 @@ pub struct Choices {
     pub trees: bool,
     /// `NODES`: samples are nodes of point trees.
     pub nodes: bool,
-    /// `FIELDS`: samples have the colours of a scalar field.
+    /// `FIELDS`: samples and lines have the colours of a scalar field.
     pub fields: bool,
     /// `PORTION`: which slots are drawn.
     pub portion: Portion,

@@ -12,7 +12,7 @@ const CLASS_ROWS: usize = 64;
 /// Tells shaders that the codes of a field are classes.
 const CLASSES: u32 = 1 << 13;
 
-/// The scalar fields that points of these assets have, by their names.
+/// The scalar fields that points and lines of these assets have, by their names.
 pub fn scene_fields(assets: &[Arc<AssetModel>]) -> Vec<SceneField> {
     let mut found: BTreeMap<&str, SceneField> = BTreeMap::new();
     for field in assets.iter().flat_map(|asset| &asset.packed.geometries).flat_map(fields_of) {
@@ -26,7 +26,7 @@ pub fn scene_fields(assets: &[Arc<AssetModel>]) -> Vec<SceneField> {
         known.least = known.least.min(least);
         known.most = known.most.max(most);
         known.shown = [known.shown[0].min(shown[0]), known.shown[1].max(shown[1])];
-        // Only fields that are classes in every cloud are shown as such.
+        // Only fields that are classes in every geometry are shown as such.
         known.classes = known.classes.take().zip(classes).map(|(known, more)| {
             let mut all = [known, more].concat();
             all.sort_unstable();
@@ -38,7 +38,11 @@ pub fn scene_fields(assets: &[Arc<AssetModel>]) -> Vec<SceneField> {
 }
 
 fn fields_of(geometry: &PackedGeometry) -> &[PackedField] {
-    geometry.samples().map_or(&[], |samples| &samples.fields)
+    match geometry {
+        PackedGeometry::Samples(samples) => &samples.fields,
+        PackedGeometry::Lines(lines) => &lines.fields,
+        PackedGeometry::Triangles(_) => &[],
+    }
 }
 
 /// The table that `shared/fields_shown` reads: the colours of classes, then for each geometry, counted asset by asset, a row for each
@@ -62,7 +66,7 @@ pub(super) fn table(assets: &[Arc<AssetModel>], fields: &[SceneField]) -> Vec<[u
     colors.chain(rows).chain([[0; 4]]).collect()
 }
 
-/// Where the codes of a field are and what they stand for: words of a sample (2 bits), lowest bit (6), number of bits (5), whether they
+/// Where the codes of a field are and what they stand for: words of a sample or a vertex (2 bits), lowest bit (6), number of bits (5), whether they
 /// are classes (1), largest code (16); the class of code 0; the share of code 0, and that of a step.
 fn row(own: &PackedField, words: usize, field: &SceneField) -> [u32; 4] {
     let scale = own.scale();

@@ -1,9 +1,9 @@
-//! Scalar fields of a scene's points, and the classes of laser scans.
+//! Scalar fields of a scene's points and lines, and the classes of laser scans.
 
 use serde::Serialize;
 use utoipa::ToSchema;
 
-/// A scalar field that some of a scene's points have.
+/// A scalar field that some of a scene's points or lines have.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct SceneField {
     pub name: String,
@@ -12,7 +12,7 @@ pub struct SceneField {
     pub most: f64,
     /// Values that a colour map shows by default: from the smallest 1st percentile of a cloud to the largest 99th percentile.
     pub shown: [f64; 2],
-    /// For classes, those that points have.
+    /// For classes, those that points or vertices of lines have.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub classes: Option<Vec<u8>>,
 }

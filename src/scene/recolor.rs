@@ -3,6 +3,7 @@
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use super::fields::{class_color, class_number};
 use super::name::Name;
 
 /// Largest number of colours that a map has.
@@ -107,13 +108,34 @@ pub enum Recolor {
     Normal,
     /// A hue for each instance.
     Instance,
-    /// A scalar field of samples: the colours of its classes, or its values from a least to a largest through a map. Grey without a
+    /// A scalar field of samples and lines: the colours of its classes, or its values from a least to a largest through a map. Grey without a
     /// value.
     Field { name: Name, range: [f64; 2], map: ColorMap, has_classes: bool },
 }
 
 /// Grey of surfaces that have no value, as an sRGB byte.
 pub const NO_VALUE: u8 = 128;
+
+impl Recolor {
+    /// The name of the shown scalar field; `None` if none is shown.
+    pub fn field(&self) -> Option<&str> {
+        match self {
+            Recolor::Field { name, .. } => Some(name.as_str()),
+            _ => None,
+        }
+    }
+
+    /// The sRGB colour of a value of the shown field, or of its absence; grey if no field is shown.
+    pub fn field_color(&self, value: Option<f64>) -> [u8; 3] {
+        let (Recolor::Field { range, map, has_classes, .. }, Some(value)) = (self, value) else {
+            return [NO_VALUE; 3];
+        };
+        if *has_classes {
+            return class_color(class_number(value));
+        }
+        map.at(share(value, *range)).map(|channel| (channel * 255.0).round() as u8)
+    }
+}
 
 /// The share that a value has of a range; the middle of a range without extent.
 pub fn share(value: f64, [least, most]: [f64; 2]) -> f64 {

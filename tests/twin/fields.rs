@@ -1,4 +1,6 @@
-//! Colours by scalar fields of the points.
+//! Colours by scalar fields of the points and lines.
+
+use std::fmt::Write;
 
 use glam::DVec3;
 use pointillist::accuracy::metrics;
@@ -12,6 +14,7 @@ use pointillist::scene::recolor::ColorMap;
 use serde_json::json;
 
 use super::files::Shape;
+use super::lines;
 use super::orthographic;
 use super::splats::ball;
 use super::stage::{Case, Frames, look};
@@ -163,6 +166,54 @@ fn nodes_of_point_trees_have_the_fields_of_their_samples() {
                 ..settings
             };
             check(&case, &view, settings, least_db);
+        }
+    }
+}
+
+/// Adds fields to a file of strands: one that changes evenly, one without a value at every seventh vertex, and classes.
+fn with_fields(file: Vec<u8>, places: &[DVec3]) -> Vec<u8> {
+    let mut text = String::from_utf8(file).unwrap();
+    let even = places.iter().map(|p| p.x + 0.5 * p.y).collect();
+    let gaps = places.iter().enumerate();
+    let gaps = gaps.map(|(i, p)| if i % 7 == 3 { f64::NAN } else { p.z }).collect();
+    let classes = places.iter().map(|p| f64::from(2 + 4 * u8::from(p.y > 0.1))).collect();
+    let fields: [(&str, Vec<f64>); 3] =
+        [("even", even), ("gaps", gaps), ("classification", classes)];
+    for (name, values) in fields {
+        writeln!(text, "SCALARS {name} double 1\nLOOKUP_TABLE default").unwrap();
+        values.iter().for_each(|value| writeln!(text, "{value}").unwrap());
+    }
+    text.into_bytes()
+}
+
+#[test]
+fn lines_have_the_colours_of_their_fields() {
+    let strands = lines::scattered(14, [0.03, 0.12], 5);
+    let places: Vec<DVec3> = strands.iter().flatten().map(|vertex| vertex.0).collect();
+    let normals = vec![DVec3::new(0.3, 0.2, 1.0).normalize(); places.len()];
+    let view = look([0.0, 0.4, 5.0], [0.0; 3], 40.0);
+    let scene = json!({
+        "assets": { "l": { "file": "l.vtk" } },
+        "materials": { "red": { "color": "#ff2020" } },
+        "nodes": [{ "asset": "l", "material": "red" }],
+        "lights": [],
+    });
+    let files = [("tubes", lines::vtk(&strands)), ("ribbons", lines::ribbons(&strands, &normals))];
+    for (name, file) in files {
+        let file = with_fields(file, &places);
+        let case = Case::new(&format!("fields-{name}"), &[("l.vtk", file)], &scene);
+        let names: Vec<String> = case.fields().into_iter().map(|field| field.name).collect();
+        assert_eq!(names, ["classification", "even", "gaps"]);
+        for settings in [
+            by(ColorBy::Field, Some("even"), None),
+            by(ColorBy::Field, Some("even"), Some([0.5, -0.5])),
+            by(ColorBy::Field, Some("gaps"), None),
+            by(ColorBy::Classification, None, None),
+        ] {
+            let points = Settings { reconstruct: Reconstruct::Points, ..settings };
+            check(&case, &view, points, 40.0);
+            let max_error_px = MaxError::new(0.05).unwrap();
+            check(&case, &view, Settings { lod: Lod::Spt, max_error_px, ..points }, 36.0);
         }
     }
 }

@@ -44,7 +44,7 @@ pub fn vtk(strands: &[Vec<Vertex>]) -> Vec<u8> {
 }
 
 /// As [`vtk`], of ribbons with these normals.
-fn ribbons(strands: &[Vec<Vertex>], normals: &[DVec3]) -> Vec<u8> {
+pub fn ribbons(strands: &[Vec<Vertex>], normals: &[DVec3]) -> Vec<u8> {
     let mut text = String::from_utf8(vtk(strands)).unwrap();
     writeln!(text, "VECTORS ribbon_normals float").unwrap();
     for n in normals {
@@ -85,7 +85,7 @@ fn tolerance() -> Tolerance {
     Tolerance { color: 4, normal: 3, at_edges: 12, unexplained: 2, ..Tolerance::default() }
 }
 
-fn scattered(count: usize, radii: [f64; 2], seed: u64) -> Vec<Vec<Vertex>> {
+pub fn scattered(count: usize, radii: [f64; 2], seed: u64) -> Vec<Vec<Vertex>> {
     let mut numbers = SplitMix64::new(seed);
     let mut number = move || (numbers.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
     let strand = |_| {

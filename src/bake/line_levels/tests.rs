@@ -1,7 +1,7 @@
 use glam::{DVec3, IVec3};
 
 use super::*;
-use crate::assets::Polylines;
+use crate::assets::{Fields, Polylines};
 use crate::bake::pack::{PackedChunk, PackedKind, pack_lines};
 use crate::scene::random::SplitMix64;
 
@@ -39,6 +39,42 @@ fn bundle(edge: f64) -> impl FnMut(usize, usize) -> DVec3 {
         }
         at + DVec3::Z * (0.05 * vertex as f64)
     }
+}
+
+/// A straight strand whose values are the numbers of its vertices.
+#[test]
+fn vertices_of_levels_have_the_values_of_what_they_stand_for() {
+    const COUNT: u16 = 1000;
+    let classes = (0..COUNT).map(|vertex| if vertex < 500 { 2 } else { 5 }).collect();
+    let numbers = (0..COUNT).collect();
+    let lines = Polylines {
+        positions: (0..COUNT).map(|vertex| DVec3::X * f64::from(vertex)).collect(),
+        strands: vec![0, COUNT.into()],
+        radii: Some(vec![0.01; COUNT.into()]),
+        fields: Fields::of_numbers(vec![("number", numbers), ("classification", classes)]),
+        ..Polylines::default()
+    };
+    let levels = line_levels(&pack_lines(&lines).unwrap()).unwrap();
+    let (mut fewest, mut segments) = (f64::INFINITY, 0);
+    for chunk in &levels.chunks {
+        for segment in chunk.elements() {
+            let ends = levels.ends(chunk, segment).unwrap().map(|end| end.position.x);
+            let length = (ends[1] - ends[0]).abs();
+            let values = levels.end_values(chunk, segment).unwrap();
+            for (x, words) in ends.into_iter().zip(values) {
+                let [number, class] =
+                    [0, 1].map(|field| levels.fields[field].value(words).unwrap());
+                assert!((number - x).abs() <= 0.5 * length + 1.0, "{number} at {x}, {length}");
+                if (x - 499.5).abs() > length {
+                    assert_eq!(class, if x < 500.0 { 2.0 } else { 5.0 }, "at {x}, {length}");
+                }
+                assert!(class == 2.0 || class == 5.0);
+            }
+            fewest = fewest.min(1.0 / length);
+            segments += 1;
+        }
+    }
+    assert!(fewest < 0.2 && segments > 1000, "{fewest} {segments}");
 }
 
 struct Level<'a> {

@@ -3,6 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
 
+use super::kind::holds;
 use crate::assets::fields::{CLASSIFICATION, MOST_NAME_BYTES, MOST_WORDS, Scale};
 use crate::assets::{Field, Fields};
 use crate::scene::fields::class_number;
@@ -59,11 +60,6 @@ impl PackedField {
         Scale { least, step, most: self.most as u16, has_gaps: self.has_gaps != 0 }
     }
 
-    /// [`Scale::most`], unchecked.
-    pub(super) fn most(&self) -> u32 {
-        self.most
-    }
-
     /// Lowest bit of the code, counted through the words of a sample.
     pub fn place(&self) -> u32 {
         self.place
@@ -99,6 +95,11 @@ impl PackedField {
     /// The value of a sample with these words; `None` where it has none.
     pub fn value(&self, words: &[u32]) -> Option<f64> {
         self.field().value(words)
+    }
+
+    /// See [`Field::between`].
+    pub fn between(&self, vertices: [&[u32]; 2], share: f64) -> Option<f64> {
+        self.field().between(vertices, share, self.is_class())
     }
 }
 
@@ -169,6 +170,49 @@ pub(in crate::bake) fn pack_field(field: &Field, counts: &CodeCounts) -> PackedF
     }
 }
 
+/// The fields of points or vertices, packed.
+pub(in crate::bake) fn pack_fields(fields: &Fields) -> Vec<PackedField> {
+    let pack = |field: &Field| {
+        let mut counts = CodeCounts::default();
+        counts.add(field, fields);
+        pack_field(field, &counts)
+    };
+    fields.list().iter().map(pack).collect()
+}
+
+/// The words of a point's or a vertex's values.
+pub(in crate::bake) fn values_at(fields: &Fields, point: usize) -> Values {
+    let mut values = Values::default();
+    if !fields.is_empty() {
+        values.iter_mut().zip(fields.at(point)).for_each(|(value, word)| *value = *word);
+    }
+    values
+}
+
+/// Checks the fields of so many elements, and how many words of values there are.
+///
+/// # Errors
+/// Returns the first violation.
+pub(super) fn check_fields(
+    fields: &[PackedField],
+    elements: usize,
+    values: usize,
+) -> Result<(), &'static str> {
+    let words = value_words(fields);
+    holds(words <= MOST_WORDS, "a field lies beyond the words of an element")?;
+    holds(values == words * elements, "there are not as many values as positions")?;
+    let is_field = |field: &PackedField| {
+        let Scale { least, step, most, .. } = field.scale();
+        let bits = field.scale().bits();
+        least.is_finite()
+            && step.is_finite()
+            && step > 0.0
+            && u32::from(most) == field.most
+            && bits + field.place % 32 <= 32
+    };
+    holds(fields.iter().all(is_field), "a field has no valid scale")
+}
+
 /// Words that the values of a sample with these fields take.
 pub fn value_words(fields: &[PackedField]) -> usize {
     fields.iter().map(|field| field.place as usize / 32 + 1).max().unwrap_or(0)
@@ -198,6 +242,11 @@ impl Layout {
             is_class: field.is_class(),
         };
         Layout(fields.iter().map(slot).collect())
+    }
+
+    /// Whether there are no fields.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
     }
 
     /// The values of a node: the mean of what is below it, by area, and of classes the one with the largest area.
@@ -237,21 +286,12 @@ impl Layout {
 mod tests {
     use super::*;
 
-    fn packed(fields: &Fields) -> Vec<PackedField> {
-        let pack = |field: &Field| {
-            let mut counts = CodeCounts::default();
-            counts.add(field, fields);
-            pack_field(field, &counts)
-        };
-        fields.list().iter().map(pack).collect()
-    }
-
     #[test]
     fn codes_come_back_from_their_words() {
         let numbers = [vec![3, 65535, 700], vec![2, 6, 2], vec![0, 65535, 1]];
         let names = ["words", CLASSIFICATION, "wide"];
         let fields = Fields::of_numbers(names.into_iter().zip(numbers.clone()).collect());
-        let packed = packed(&fields);
+        let packed = pack_fields(&fields);
         assert_eq!(value_words(&packed), 2);
         for (field, numbers) in packed.iter().zip(&numbers) {
             for (point, &number) in numbers.iter().enumerate() {
@@ -267,7 +307,7 @@ mod tests {
     fn nodes_have_the_mean_value_and_the_largest_class() {
         let numbers = vec![("value", vec![10, 20, 100]), (CLASSIFICATION, vec![9, 5, 5])];
         let fields = Fields::of_numbers(numbers);
-        let packed = packed(&fields);
+        let packed = pack_fields(&fields);
         let child = |point: usize| [fields.at(point)[0], 0];
         let children = [(child(0), 2.0), (child(1), 1.0), (child(2), 1.5)];
         let above = Layout::of(&packed).above(children.into_iter());

@@ -11,7 +11,9 @@ use std::ops::Range;
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
-use super::fields::{CodeCounts, FIELD_WORDS, PackedField, Values, pack_field, value_words};
+use super::fields::{
+    FIELD_WORDS, PackedField, Values, check_fields, pack_fields, value_words, values_at,
+};
 use super::kernel::{self, longer_axis};
 use super::kind::{
     Arrays, LOOKED_AT, PackedKind, PageKind, STRAY_SHARE, Stream, StreamOf, TAIL_SHARE, holds,
@@ -20,8 +22,7 @@ use super::{
     CHUNK, GeometryKind, Grid, KERNEL_DETAIL, NodeRange, PackError, PackedChunk, Sides, finite,
     morton, octahedral, octahedral_decode, order, rgba_word,
 };
-use crate::assets::fields::{MOST_WORDS, Scale};
-use crate::assets::{Clip, Field, Kernel, NEUTRAL, PointCloud};
+use crate::assets::{Clip, Kernel, NEUTRAL, PointCloud};
 use crate::math::Bounds;
 
 pub(in crate::bake) use unpack::unpack_kernel;
@@ -132,12 +133,7 @@ pub fn pack_samples(cloud: &PointCloud) -> Result<PackedSamples, PackError> {
 
 /// The fields of a cloud, packed.
 pub(in crate::bake) fn fields_of(cloud: &PointCloud) -> Vec<PackedField> {
-    let pack = |field: &Field| {
-        let mut counts = CodeCounts::default();
-        counts.add(field, &cloud.fields);
-        pack_field(field, &counts)
-    };
-    cloud.fields.list().iter().map(pack).collect()
+    pack_fields(&cloud.fields)
 }
 
 /// The words of all values, in this order of points.
@@ -155,11 +151,7 @@ pub(in crate::bake) fn packed_values(cloud: &PointCloud, order: &[u32]) -> Vec<u
 
 /// The words of a point's values.
 pub(in crate::bake) fn values_of(cloud: &PointCloud, point: usize) -> Values {
-    let mut values = Values::default();
-    if !cloud.fields.is_empty() {
-        values.iter_mut().zip(cloud.fields.at(point)).for_each(|(value, word)| *value = *word);
-    }
-    values
+    values_at(&cloud.fields, point)
 }
 
 /// Flag in the sort key of samples with clip lines.
@@ -405,19 +397,7 @@ impl PackedKind for PackedSamples {
         let nodes = self.nodes.len();
         holds(nodes == 0 || nodes == count, "there are not as many nodes as positions")?;
         holds(self.clips.len() <= count, "there are more clip lines than samples")?;
-        let words = value_words(&self.fields);
-        holds(words <= MOST_WORDS, "a field lies beyond the words of a sample")?;
-        holds(self.values.len() == words * count, "there are not as many values as positions")?;
-        let is_field = |field: &PackedField| {
-            let Scale { least, step, most, .. } = field.scale();
-            let bits = field.scale().bits();
-            least.is_finite()
-                && step.is_finite()
-                && step > 0.0
-                && u32::from(most) == field.most()
-                && bits + field.place() % 32 <= 32
-        };
-        holds(self.fields.iter().all(is_field), "a field has no valid scale")?;
+        check_fields(&self.fields, count, self.values.len())?;
         let first = self.clipped_first();
         holds(
             self.clips.is_empty() || self.chunks.iter().any(|chunk| chunk.first == first),

@@ -4,7 +4,7 @@ use glam::{DVec3, Vec2, Vec3};
 use sha2::{Digest, Sha256};
 
 use super::*;
-use crate::assets::{Clip, ClipLine, Kernel, Material, Mesh, MeshPart, Polylines};
+use crate::assets::{Clip, ClipLine, Fields, Kernel, Material, Mesh, MeshPart, Polylines};
 use crate::bake::hybrid::hybrid_mesh;
 use crate::bake::kernels::circle;
 use crate::bake::line_levels::line_levels;
@@ -109,6 +109,8 @@ fn lines() -> PackedLines {
     lines.radii = Some((0..count).map(|v| 0.0005 + 0.0001 * (v % 3) as f32).collect());
     lines.normals = Some(vec![Vec3::Y; count]);
     lines.colors = Some(colors(count));
+    let numbers = (0..count).map(|v| (v % 900) as u16).collect();
+    lines.fields = Fields::of_numbers(vec![("number", numbers)]);
     line_levels(&pack_lines(&lines).unwrap()).unwrap()
 }
 
@@ -147,6 +149,7 @@ fn trees_change_with_their_version() {
     add_chunks(&mut hash, &lines.grid, &lines.chunks);
     hash.update(bytemuck::cast_slice(&lines.vertices));
     hash.update(bytemuck::cast_slice(&lines.segments));
+    hash.update(bytemuck::cast_slice(&lines.values));
     let found: String = hash.finalize()[..8].iter().map(|byte| format!("{byte:02x}")).collect();
     assert_eq!(
         found, BAKING_DIGEST,

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use glam::{DAffine3, DVec3};
 
 use super::{Element, HitKind, PickedStrand, Tint, base, linear};
-use crate::bake::pack::{NO_NORMAL, PackedChunk, PackedLines, octahedral_decode};
+use crate::bake::pack::{NO_NORMAL, PackedChunk, PackedField, PackedLines, octahedral_decode};
 use crate::math::Tube;
 
 /// The vertices of strands as the file has them, by the number of the strand, in the axes of the geometry.
@@ -70,9 +70,22 @@ pub(super) fn segment(
         local,
         normal: if is_ribbon { normals[0].lerp(normals[1], share) } else { local - on_axis },
         color: colors[0].lerp(colors[1], share) * base(tint.unwrap_or([1.0; 4])),
-        fields: BTreeMap::new(),
+        fields: fields(lines, record, index, share),
         strand: place.map(|(vertex, share)| PickedStrand { index: strand, vertex, share }),
     })
+}
+
+/// Returns the values of scalar fields at a share of the way along a segment.
+fn fields(
+    lines: &PackedLines,
+    record: &PackedChunk,
+    index: usize,
+    share: f64,
+) -> BTreeMap<String, f64> {
+    let Some(values) = lines.end_values(record, index) else { return BTreeMap::new() };
+    let value =
+        |field: &PackedField| Some((field.name().to_owned(), field.between(values, share)?));
+    lines.fields.iter().filter_map(value).collect()
 }
 
 /// Returns the point where a ray meets a ribbon, and its share of the way along the segment. `tube` has the ends of the segment; `sides` are
@@ -178,7 +191,7 @@ mod tests {
     use glam::Vec3;
 
     use super::*;
-    use crate::assets::Polylines;
+    use crate::assets::{Fields, Polylines};
     use crate::bake::line_levels::line_levels;
     use crate::bake::pack::pack_lines;
 
@@ -212,6 +225,28 @@ mod tests {
         for y in [0.6f64, -0.6] {
             let expected = DVec3::new(1.0, 0.4 * y.signum(), -0.3 * y.signum());
             assert!(pick(1.0, y).local.distance(expected) < 1e-3, "{}", pick(1.0, y).local);
+        }
+    }
+
+    #[test]
+    fn values_change_evenly_along_a_segment() {
+        let lines = Polylines {
+            positions: vec![DVec3::ZERO, DVec3::X * 4.0],
+            strands: vec![0, 2],
+            radii: Some(vec![0.5; 2]),
+            fields: Fields::of_numbers(vec![
+                ("size", vec![100, 300]),
+                ("classification", vec![2, 9]),
+            ]),
+            ..Polylines::default()
+        };
+        let packed = pack_lines(&lines).unwrap();
+        for (x, class) in [(1.0, 2.0), (1.9, 2.0), (2.1, 9.0), (3.5, 9.0)] {
+            let ray = (DVec3::new(x, 0.0, 10.0), -DVec3::Z);
+            let (chunk, world) = (&packed.chunks[0], DAffine3::IDENTITY);
+            let found = segment(&packed, (chunk, 0), &world, ray, None, Detail::Full).unwrap();
+            assert!((found.fields["size"] - (100.0 + 50.0 * x)).abs() < 0.1, "{:?}", found.fields);
+            assert_eq!(found.fields["classification"], class, "{x}");
         }
     }
 

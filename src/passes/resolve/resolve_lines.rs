@@ -5,6 +5,7 @@ use crate::bake::pack::GeometryKind;
 use crate::gpu::shader::ShaderError;
 use crate::passes::lines::line_constant;
 use crate::passes::recorder::{Call, Recorder};
+use crate::passes::shaders::Choices;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let segments = recorder.segments(&[GeometryKind::Lines]);
@@ -15,7 +16,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     }
     for segment in segments {
         recorder.compute(Call {
-            choices: choices(recorder),
+            choices: Choices { fields: recorder.task.shows_field(), ..choices(recorder) },
             constants: [constants.clone(), vec![line_constant(recorder, segment)]].concat(),
             segments: &[segment],
             launch: tiles(recorder),

@@ -1,5 +1,9 @@
+use glam::Vec3;
+
+use super::write::strand_word;
 use super::*;
-use crate::bake::pack::octahedral_decode;
+use crate::assets::{Fields, Polylines};
+use crate::bake::pack::{Grid, PackError, morton, octahedral_decode};
 
 fn wave(count: usize, phase: f64) -> impl Iterator<Item = DVec3> {
     (0..count).map(move |i| {
@@ -22,7 +26,9 @@ fn many(strands: usize, count: usize) -> Polylines {
 
 #[test]
 fn every_segment_is_packed_once_with_the_words_of_its_vertices() {
-    let lines = many(30, 101);
+    let mut lines = many(30, 101);
+    lines.fields =
+        Fields::of_numbers(vec![("one", vec![1; 30 * 101]), ("number", (0..30 * 101).collect())]);
     let packed = pack_lines(&lines).unwrap();
     packed.check().unwrap();
     assert_eq!(packed.len(), 30 * 100);
@@ -41,6 +47,9 @@ fn every_segment_is_packed_once_with_the_words_of_its_vertices() {
                 assert_eq!(end.color.to_le_bytes(), lines.colors.as_ref().unwrap()[v]);
                 assert_eq!((end.normal, end.side), (NO_NORMAL, NO_NORMAL));
             }
+            let values = packed.end_values(chunk, segment).unwrap();
+            let numbers = values.map(|words| packed.fields[1].value(words).unwrap());
+            assert_eq!(numbers, [vertex as f64, vertex as f64 + 1.0]);
             let (strand, place) = packed.strand_of(segment).unwrap();
             assert_eq!((strand as usize, place as usize), (vertex / 101, vertex % 101));
             assert_eq!(link & BEGINS != 0, place == 0);

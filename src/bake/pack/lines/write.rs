@@ -1,0 +1,280 @@
+//! Makes packed lines of lines, and of levels of detail.
+
+use glam::{IVec3, Vec3};
+use rayon::prelude::*;
+
+use super::super::fields::{Values, pack_fields, value_words, values_at};
+use super::super::{
+    ALWAYS, CHUNK, Grid, KERNEL_DETAIL, NO_NORMAL, NodeRange, PackError, PackedChunk, PackedField,
+    Sides, finite, morton, octahedral, rgba_word,
+};
+use super::{BEGINS, ENDS, HASH_SHIFT, LINE_WORDS, LineVertex, PackedLines, Piece, cell_of};
+use crate::assets::Polylines;
+use crate::math::Bounds;
+
+/// Packs lines. Lines without radii have zeros.
+///
+/// # Errors
+/// See [`PackError`].
+pub fn pack_lines(lines: &Polylines) -> Result<PackedLines, PackError> {
+    finite(&lines.positions)?;
+    check_lines(lines)?;
+    let widest = lines.widest();
+    if widest > 1e30 {
+        return Err(PackError::TooFar { extent: widest });
+    }
+    let bounds = Bounds::of_all(&lines.positions);
+    let grid = Grid::with_detail(&bounds, widest * KERNEL_DETAIL)?;
+    let cells: Vec<IVec3> = lines.positions.par_iter().map(|&p| grid.quantise(p)).collect();
+    let middle = |vertex: u32| {
+        let (a, b) = (cells[vertex as usize], cells[vertex as usize + 1]);
+        // Cells use 30 bits.
+        morton((a + b) / 2)
+    };
+    let mut order: Vec<Ordered> = Vec::with_capacity(lines.positions.len());
+    for (strand, ends) in lines.strands.windows(2).enumerate() {
+        order.extend((ends[0]..ends[1].saturating_sub(1)).map(|v| (0, v, strand as u32)));
+    }
+    order.par_iter_mut().for_each(|segment| segment.0 = middle(segment.1));
+    order.par_sort_unstable();
+    let sides = lines.normals.as_ref().map(|normals| sides(lines, normals));
+    let words = |v: usize| {
+        let cell = cells[v];
+        let color = lines.colors.as_ref().map_or(u32::MAX, |colors| rgba_word(colors[v]));
+        let radius = lines.radii.as_ref().map_or(0.0, |radii| f64::from(radii[v]));
+        let normal = lines.normals.as_ref().map_or(NO_NORMAL, |n| octahedral(n[v]));
+        let side = sides.as_ref().map_or(NO_NORMAL, |sides| octahedral(sides[v]));
+        // Steps are powers of two: the quotient is exact.
+        let radius = (radius / grid.step) as f32;
+        [cell.x as u32, cell.y as u32, cell.z as u32, color, radius.to_bits(), normal, side]
+    };
+    let segment = |vertex: u32, strand: u32| {
+        let [first, end] = [strand, strand + 1].map(|at| lines.strands[at as usize]);
+        [strand_word(strand, 0, first == vertex, end == vertex + 2), vertex]
+    };
+    let values = |v: usize| values_at(&lines.fields, v);
+    let mut packer = LinePacker::new(grid, lines.strands.clone(), pack_fields(&lines.fields));
+    let always = NodeRange { error_parent: ALWAYS, size_parent: ALWAYS, ..NodeRange::default() };
+    packer.add(always, lines.positions.len(), &order, words, values, segment);
+    Ok(packer.finished())
+}
+
+/// Returns the first word of a segment without its indices. `part` counts the segments before it that have the same number.
+///
+/// Shaders derive the dither keys of a segment from the hash and the number, and parts of one segment have the same number: each has a hash of
+/// its own, by steps of Martin Roberts' R3 sequence.
+pub(super) fn strand_word(strand: u32, part: u32, begins: bool, ends: bool) -> u32 {
+    let of_strand = strand.wrapping_add(1).wrapping_mul(0x9e37_79b9);
+    let hash = of_strand.wrapping_add(part.wrapping_mul(0xd1b5_4a33)) >> HASH_SHIFT << HASH_SHIFT;
+    hash | if begins { BEGINS } else { 0 } | if ends { ENDS } else { 0 }
+}
+
+/// Checks what a reader promises: lengths, order of strands, radii, normals.
+fn check_lines(lines: &Polylines) -> Result<(), PackError> {
+    let count = lines.positions.len();
+    let is_sorted = lines.strands.windows(2).all(|ends| ends[0] < ends[1]);
+    let is_whole = lines.strands.first().is_none_or(|&first| first == 0)
+        && lines.strands.last().map_or(0, |&last| last as usize) == count;
+    let lengths = [
+        lines.radii.as_ref().map(Vec::len),
+        lines.normals.as_ref().map(Vec::len),
+        lines.colors.as_ref().map(Vec::len),
+        (!lines.fields.is_empty()).then(|| lines.fields.points()),
+    ];
+    if !is_sorted || !is_whole || lengths.iter().flatten().any(|&length| length != count) {
+        return Err(PackError::Strands);
+    }
+    let is_radius = |radius: f32| radius >= 0.0 && radius.is_finite();
+    if let Some(radii) = &lines.radii
+        && let Some(index) = radii.par_iter().position_first(|&radius| !is_radius(radius))
+    {
+        return Err(PackError::Radius { index });
+    }
+    if let Some(normals) = &lines.normals
+        && let Some(index) =
+            normals.par_iter().position_first(|&normal| octahedral(normal) == NO_NORMAL)
+    {
+        return Err(PackError::Normal { index });
+    }
+    Ok(())
+}
+
+/// The directions of ribbons' widths at their vertices.
+fn sides(lines: &Polylines, normals: &[Vec3]) -> Vec<Vec3> {
+    let of_strand = move |ends: &[u32]| {
+        let (first, end) = (ends[0] as usize, ends[1] as usize);
+        (first..end).map(move |vertex| lines.side(normals, vertex, first..end).as_vec3())
+    };
+    lines.strands.par_windows(2).flat_map_iter(of_strand).collect()
+}
+
+/// A segment in the order of packing: the Morton code of its middle, the first of its two vertices, and its strand (or its word, in levels of
+/// detail).
+type Ordered = (u64, u32, u32);
+
+/// Cuts sorted segments into chunks with the vertices that they use.
+struct LinePacker {
+    out: PackedLines,
+}
+
+impl LinePacker {
+    fn new(grid: Grid, strands: Vec<u32>, fields: Vec<PackedField>) -> LinePacker {
+        let out = PackedLines {
+            grid,
+            chunks: Vec::new(),
+            vertices: Vec::new(),
+            segments: Vec::new(),
+            strands,
+            fields,
+            values: Vec::new(),
+        };
+        LinePacker { out }
+    }
+
+    /// Adds sorted segments, in chunks of their own that have this range. The segments lead to `count` vertices, whose words are `words`
+    /// and whose codes of fields are `values`.
+    /// `segment` takes the last two values of an [`Ordered`]. It returns the word (see [`strand_word`]) and the first vertex's number in the file.
+    ///
+    /// Where a chunk ends depends on all segments before: [`Self::cut`] takes one after the other. All else is done in parallel.
+    fn add(
+        &mut self,
+        range: NodeRange,
+        count: usize,
+        order: &[Ordered],
+        words: impl Fn(usize) -> [u32; LINE_WORDS] + Sync,
+        values: impl Fn(usize) -> Values + Sync,
+        segment: impl Fn(u32, u32) -> [u32; 2] + Sync,
+    ) {
+        let first = self.out.segments.len();
+        let used = self.cut(range, count, order);
+        self.out.vertices.par_extend(used.par_iter().map(|&vertex| words(vertex as usize)));
+        let width = value_words(&self.out.fields);
+        let codes = |&vertex: &u32| values(vertex as usize).into_iter().take(width);
+        if width > 0 {
+            self.out.values.par_extend(used.par_iter().flat_map_iter(codes));
+        }
+        let stored = self.out.segments[first..].par_iter_mut();
+        stored.zip(order.par_iter()).for_each(|(stored, &(_, vertex, of_packer))| {
+            let [word, number] = segment(vertex, of_packer);
+            *stored = [stored[0] | word, number];
+        });
+    }
+
+    /// Adds chunks, and segments that have their indices alone. Returns the vertices of the chunks, in their order.
+    fn cut(&mut self, range: NodeRange, count: usize, order: &[Ordered]) -> Vec<u32> {
+        let PackedLines { chunks, segments, vertices, .. } = &mut self.out;
+        // For every vertex: the last chunk that took it, and its index there.
+        let mut stamp = vec![(u32::MAX, 0u32); count];
+        let mut used: Vec<u32> = Vec::with_capacity(count);
+        segments.reserve(order.len());
+        let mut is_open = false;
+        for &(_, vertex, _) in order {
+            let ends = [vertex as usize, vertex as usize + 1];
+            let last = chunks.last().filter(|_| is_open);
+            let fits = last.is_some_and(|chunk| {
+                let number = chunks.len() as u32 - 1;
+                let fresh = ends.iter().filter(|&&v| stamp[v].0 != number).count();
+                (chunk.count as usize) < CHUNK && chunk.vertex_count as usize + fresh <= CHUNK
+            });
+            if !fits {
+                is_open = true;
+                chunks.push(PackedChunk {
+                    origin: IVec3::ZERO,
+                    extent: IVec3::ZERO,
+                    first: segments.len() as u32,
+                    count: 0,
+                    shift: 0,
+                    vertex_first: (vertices.len() + used.len()) as u32,
+                    vertex_count: 0,
+                    material: 0,
+                    kernel_base: 0.0,
+                    sides: Sides::Unknown,
+                    translucent: false,
+                    range,
+                });
+            }
+            let number = chunks.len() - 1;
+            let chunk = &mut chunks[number];
+            let mut link = 0u32;
+            for (place, v) in ends.into_iter().enumerate() {
+                let (owner, local) = &mut stamp[v];
+                if *owner != number as u32 {
+                    (*owner, *local) = (number as u32, chunk.vertex_count);
+                    chunk.vertex_count += 1;
+                    used.push(v as u32);
+                }
+                link |= *local << (10 * place);
+            }
+            chunk.count += 1;
+            segments.push([link, 0]);
+        }
+        used
+    }
+
+    /// The packed lines, with the boxes and the largest radii of their chunks.
+    fn finished(self) -> PackedLines {
+        let mut out = self.out;
+        let vertices = &out.vertices;
+        out.chunks.par_iter_mut().for_each(|chunk| {
+            let run = &vertices[chunk.vertices()];
+            let low = run.iter().map(cell_of).fold(IVec3::MAX, IVec3::min);
+            let high = run.iter().map(cell_of).fold(IVec3::MIN, IVec3::max);
+            chunk.origin = low;
+            chunk.extent = high - low;
+            chunk.kernel_base =
+                run.iter().map(|words| f32::from_bits(words[4])).fold(0.0, f32::max);
+        });
+        out
+    }
+}
+
+/// Packs levels of detail, coarsest first, each with the range of its chunks.
+///
+/// # Errors
+/// There are more vertices or segments than 32 bits count.
+pub fn pack_levels(
+    lines: &PackedLines,
+    levels: &[(NodeRange, Vec<Piece<LineVertex>>)],
+) -> Result<PackedLines, PackError> {
+    let mut packer = LinePacker::new(lines.grid, lines.strands.clone(), lines.fields.clone());
+    for (range, pieces) in levels {
+        let vertices: Vec<LineVertex> =
+            pieces.iter().flat_map(|piece| piece.vertices.iter().copied()).collect();
+        let mut order: Vec<Ordered> = Vec::with_capacity(vertices.len());
+        let mut first = 0;
+        for piece in pieces {
+            let last = first + piece.vertices.len() as u32 - 1;
+            let mut part = 0;
+            for vertex in first..last {
+                let number = |vertex: u32| vertices[vertex as usize].number;
+                let continues = vertex > first && number(vertex) == number(vertex - 1);
+                part = if continues { part + 1 } else { 0 };
+                let [a, b] = [vertex, vertex + 1].map(|v| vertices[v as usize].cell());
+                let begins = piece.begins && vertex == first;
+                let ends = piece.ends && vertex + 1 == last;
+                let word = strand_word(piece.strand, part, begins, ends);
+                order.push((morton((a + b) / 2), vertex, word));
+            }
+            first = last + 1;
+        }
+        order.par_sort_unstable();
+        let words = |v: usize| vertices[v].words;
+        let segment = |vertex: u32, word: u32| [word, vertices[vertex as usize].number];
+        let values = |v: usize| vertices[v].values;
+        packer.add(*range, vertices.len(), &order, words, values, segment);
+        if u32::try_from(packer.out.vertices.len()).is_err() {
+            return Err(PackError::TooMany);
+        }
+    }
+    Ok(packer.finished())
+}
+
+/// Bytes that packing lines needs.
+pub(super) fn packing_bytes(lines: &Polylines) -> u64 {
+    // Cells, stamps, sides, and packed vertices with their numbers, twice: chunks that share a vertex each store it. The order and packed segments.
+    (12 + 8 + 12 + 2 * (28 + 4)) * lines.positions.len() as u64
+        + (16 + 8) * lines.positions.len() as u64
+        + (if lines.fields.is_empty() { 0 } else { 2 * size_of::<Values>() as u64 })
+            * lines.positions.len() as u64
+        + 4 * lines.strands.len() as u64
+}
