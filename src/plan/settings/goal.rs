@@ -30,8 +30,8 @@ impl Settings {
         Settings { budget_ms, min_psnr_db, pinned: Pinned::default(), ..*self }
     }
 
-    /// The settings with one goal in place of any other, and with boxes that show everything in place of other clip boxes: what may be chosen is the same
-    /// for all goals and for all boxes.
+    /// The settings with one goal in place of any other, and with a box that shows everything in place of clip boxes. What may be chosen is the same for
+    /// all goals and for all boxes.
     #[must_use]
     pub fn with_some_goal(&self) -> Settings {
         let clip_boxes = self.clip_boxes.map(|_| ClipBoxes::EVERYTHING);
