@@ -58,6 +58,8 @@ const FARTHEST: f32 = 1e30;
 const GAP: f32 = 0.0000019073486;
 // Standard deviations below this many pixels are as good as none.
 const THINNEST: f32 = 1e-15;
+// Square roots of determinants above this have no finite square in f32: those of disks that the eye almost touches.
+const ROOT_WITHOUT_SQUARE: f32 = 1e18;
 
 fn cross_2d(a: vec2<f32>, b: vec2<f32>) -> f32 {
     return a.x * b.y - a.y * b.x;
@@ -175,12 +177,13 @@ fn set_box(splat: ptr<function, Splat>, centre: vec2<f32>, extent: vec2<f32>) {
     (*splat).high = vec2<i32>(clamp(floor(centre + extent - 0.5), vec2<f32>(-1.0), last));
 }
 
-// Variance matrix of an ellipse, its determinant and centre.
+// Variance matrix of an ellipse, its determinant, the square root of that, and the centre.
 struct Ellipse {
     xx: f32,
     xy: f32,
     yy: f32,
     determinant: f32,
+    root: f32,
     shift: vec2<f32>,
 }
 
@@ -188,7 +191,7 @@ struct Ellipse {
 fn outline(jx: vec2<f32>, jy: vec2<f32>, slopes: vec2<f32>, affine: bool) -> Ellipse {
     let area = cross_2d(jx, jy);
     if affine {
-        return Ellipse(dot(jx, jx), dot(jx, jy), dot(jy, jy), area * area, vec2<f32>(0.0));
+        return Ellipse(dot(jx, jx), dot(jx, jy), dot(jy, jy), area * area, abs(area), vec2<f32>(0.0));
     }
     let f2 = frame.splat_cutoff * frame.splat_cutoff;
     let inverse_k = 1.0 / (1.0 - f2 * dot(slopes, slopes));
@@ -199,33 +202,42 @@ fn outline(jx: vec2<f32>, jy: vec2<f32>, slopes: vec2<f32>, affine: bool) -> Ell
     e.xy = fma(n.x, m.y, dot(jx, jy)) * inverse_k;
     e.yy = fma(n.y, m.y, dot(jy, jy)) * inverse_k;
     e.determinant = area * area * inverse_k * inverse_k * inverse_k;
+    e.root = abs(area) * inverse_k * sqrt(inverse_k);
     e.shift = -n;
     return e;
 }
 
-// Forms of s and t whose squares add up to the distance in an ellipse, half the sides of its box in standard deviations, and the determinant of
-// its variance.
+// Forms of s and t whose squares add up to the distance in an ellipse, half the sides of its box in standard deviations, and the area of the
+// ellipse without the filter over its area with it.
 struct EllipseForms {
     s: vec3<f32>,
     t: vec3<f32>,
     extent: vec2<f32>,
-    determinant: f32,
+    own_share: f32,
 }
 
 // `lowpass`: the variance that the filter adds.
 fn ellipse_forms(e: Ellipse, lowpass: f32) -> EllipseForms {
     let xx = e.xx + lowpass;
     let yy = e.yy + lowpass;
-    let determinant = fma(lowpass, e.xx + e.yy + lowpass, e.determinant);
+    let added = e.xx + e.yy + lowpass;
+    let determinant = fma(lowpass, added, e.determinant);
+    var root = sqrt(determinant);
+    var own_share = sqrt(e.determinant / determinant);
+    if e.root > ROOT_WITHOUT_SQUARE {
+        let widening = sqrt(1.0 + lowpass * (added / e.root) / e.root);
+        root = e.root * widening;
+        own_share = 1.0 / widening;
+    }
     // Cholesky's factor of the variance, inverted.
     let l_x = max(sqrt(xx), THINNEST);
-    let l_y = max(sqrt(determinant) / l_x, THINNEST);
+    let l_y = max(root / l_x, THINNEST);
     let lean = e.xy / (l_x * l_x);
     return EllipseForms(
         vec3<f32>(-e.shift.x, 1.0, 0.0) / l_x,
         vec3<f32>(fma(lean, e.shift.x, -e.shift.y), -lean, 1.0) / l_y,
         sqrt(vec2<f32>(xx, yy)),
-        determinant,
+        own_share,
     );
 }
 
@@ -237,7 +249,7 @@ fn set_ellipse(splat: ptr<function, Splat>, e: Ellipse) {
     }
     let forms = ellipse_forms(e, lowpass);
     if PREFILTER {
-        (*splat).amplitude = max(sqrt(e.determinant / forms.determinant), least_amplitude());
+        (*splat).amplitude = max(forms.own_share, least_amplitude());
     }
     (*splat).s = forms.s;
     (*splat).t = forms.t;

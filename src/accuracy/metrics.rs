@@ -49,14 +49,14 @@ pub(super) fn check<A, B>(
     Err(SizeMismatch { reference: reference.len(), image: image.len(), expected })
 }
 
-/// Mean squared error of the bytes of red, green and blue.
+/// Mean squared error of the bytes of red, green and blue; 0 for images without pixels.
 ///
 /// # Errors
 /// The images have different sizes.
 pub fn mse(reference: &[[u8; 4]], image: &[[u8; 4]]) -> Result<f64, SizeMismatch> {
     check(reference, image, None)?;
     let squares: u64 = rgb_differences(reference, image).map(|d| u64::from(d).pow(2)).sum();
-    Ok(squares as f64 / (3 * reference.len()) as f64)
+    Ok(squares as f64 / (3 * reference.len()).max(1) as f64)
 }
 
 /// Peak signal-to-noise ratio in dB over the bytes of red, green and blue; infinite for equal images.
@@ -362,7 +362,7 @@ where
     Ok(Spread::of(errors.filter(|error| error.is_finite()).collect()))
 }
 
-/// The angle in degrees over the pixels where both images have a normal (not zero); `None` if there are none.
+/// The angle in degrees over the pixels where both images have a normal (finite and not zero); `None` if there are none.
 ///
 /// # Errors
 /// The images have different sizes.
@@ -371,7 +371,8 @@ pub fn normal_error_deg(
     image: &[DVec3],
 ) -> Result<Option<Spread>, SizeMismatch> {
     check(reference, image, None)?;
-    let known = |(a, b): &(&DVec3, &DVec3)| **a != DVec3::ZERO && **b != DVec3::ZERO;
+    let is_normal = |normal: &DVec3| normal.is_finite() && *normal != DVec3::ZERO;
+    let known = |(a, b): &(&DVec3, &DVec3)| is_normal(a) && is_normal(b);
     // The arc cosine alone would lose small angles.
     let angle = |(a, b): (&DVec3, &DVec3)| a.cross(*b).length().atan2(a.dot(*b)).to_degrees();
     Ok(Spread::of(reference.iter().zip(image).filter(known).map(angle).collect()))

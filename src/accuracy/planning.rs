@@ -207,6 +207,7 @@ fn add(measured: &mut Measured, size: [u32; 2], survey: &Survey<'_>, results: &R
 mod tests {
     use super::*;
     use crate::accuracy::results::tests::results;
+    use crate::plan::Given;
 
     #[test]
     fn progress_goes_on_from_stage_to_stage() {
@@ -227,5 +228,29 @@ mod tests {
         for family in rows.iter().map(|row| &row.family) {
             assert!(kept.iter().any(|row| row.family == *family), "{family}");
         }
+    }
+
+    #[test]
+    fn smaller_sizes_beat_no_setting_of_full_size() {
+        let looked = results();
+        let plain = Given::default();
+        let mut antialiased = plain;
+        antialiased.set_text("antialias", "4x").unwrap();
+        // "fast way" is faster and more exact than "beaten way" at both poses.
+        let is_kept = |fast: f64, (given, scale): (Given, f64)| {
+            let row = |label: &str, given: Given, scale: f64| Row {
+                label: label.to_owned(),
+                family: String::new(),
+                given,
+                scale,
+            };
+            let rows = [row("fast way", plain, fast), row("beaten way", given, scale)];
+            unbeaten(&looked, &rows).iter().any(|row| row.label == "beaten way")
+        };
+        assert!(!is_kept(1.0, (antialiased, 1.0)), "both are of full size");
+        assert!(is_kept(0.25, (antialiased, 1.0)), "still frames cannot be smaller");
+        assert!(!is_kept(1.0, (plain, 0.25)), "moving frames may have the full size");
+        assert!(!is_kept(0.5, (plain, 0.25)), "both are smaller");
+        assert!(is_kept(1.0, (plain, 0.5)), "each way to draw stays in one smaller size");
     }
 }

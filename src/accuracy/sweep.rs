@@ -324,6 +324,19 @@ mod tests {
     }
 
     #[test]
+    fn a_planner_chooses_from_every_way_to_draw_samples_in_every_size() {
+        let rows = planned_rows();
+        for way in ["points", "splats", "fuzzy", "painted", "pull_push"] {
+            for detail in ["full", "spt 1 px", "spt 8 px"] {
+                for size in ["", " size=3/4", " size=1/2", " size=1/4"] {
+                    let label = format!("{way} {detail}{size}");
+                    assert!(rows.iter().any(|row| row.label == label), "{label}");
+                }
+            }
+        }
+    }
+
+    #[test]
     fn rows_of_a_path_are_those_of_the_survey_and_have_one_full_detail_each() {
         for (extent, error) in [(Extent::Few, "splats spt 1 px"), (Extent::All, "splats spt 4 px")]
         {

@@ -57,7 +57,7 @@ pub struct Known {
     planner: Planner,
     pace: Mutex<Pace>,
     /// Answers of [`Planner::asked`]: each takes milliseconds to find, and a stream asks for each frame.
-    asked: Mutex<HashMap<Settings, Arc<Asked>>>,
+    asked: Mutex<HashMap<Settings, Asked>>,
 }
 
 #[derive(Default)]
@@ -108,18 +108,21 @@ impl Known {
         Known { key, measured, grounds, planner, pace, asked }
     }
 
-    fn asked(&self, settings: &Settings) -> Arc<Asked> {
+    /// What a request may be drawn with. Requests that differ in their goals and their clip boxes alone share an answer, since both change from frame
+    /// to frame.
+    fn asked(&self, settings: &Settings) -> Asked {
         let kind = settings.with_some_goal();
         if let Some(known) = self.asked.lock().get(&kind) {
-            return known.clone();
+            return known.clipped_like(settings);
         }
-        let found = Arc::new(self.planner.asked(&kind));
+        let found = self.planner.asked(&kind);
+        let own = found.clipped_like(settings);
         let mut asked = self.asked.lock();
         if asked.len() >= MOST_ASKED {
             asked.clear();
         }
-        asked.insert(kind, found.clone());
-        found
+        asked.insert(kind, found);
+        own
     }
 
     fn write(&self, cache: Option<&BakeCache>, paces: Paces) {
@@ -432,6 +435,7 @@ impl Engine {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plan::Given;
     use crate::plan::planner::MeasuredPose;
 
     fn known(width: u32) -> Known {
@@ -447,6 +451,25 @@ mod tests {
         let view = pose.camera().unwrap().view(width, 1).unwrap();
         let grounds = vec![Ground::new([&[]; 3], &view)];
         Known::fit([7; 32], measured, grounds, Paces::default())
+    }
+
+    #[test]
+    fn a_clip_box_that_moves_is_asked_for_once() {
+        let known = known(1);
+        let asked = |pairs: &[(&str, &str)]| {
+            let mut given = Given::default();
+            for (name, value) in pairs {
+                given.set_text(name, value).unwrap();
+            }
+            known.asked(&given.resolve().unwrap());
+            known.asked.lock().len()
+        };
+        for x in 1..5 {
+            let boxes = format!("0,0,0,{x},1,1");
+            assert_eq!(asked(&[("budget_ms", "5"), ("clip_boxes", &boxes)]), 1, "{boxes}");
+        }
+        assert_eq!(asked(&[("budget_ms", "5")]), 2, "nothing is clipped");
+        assert_eq!(asked(&[("budget_ms", "7")]), 2);
     }
 
     #[test]

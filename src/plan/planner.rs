@@ -161,6 +161,15 @@ pub struct Alternative {
     pub least_psnr_db: f64,
 }
 
+impl Asked {
+    /// The answer for a request that differs in its goal and its clip boxes alone.
+    #[must_use]
+    pub fn clipped_like(&self, settings: &Settings) -> Asked {
+        let rows = self.rows.iter().map(|(row, own)| (*row, own.clipped_like(settings)));
+        Asked { rows: rows.collect(), others: self.others.clone() }
+    }
+}
+
 impl Goal {
     fn keeps(&self, found: &Prediction) -> bool {
         self.keeps_budget(found)

@@ -109,6 +109,13 @@ impl fmt::Display for ClipBox {
 }
 
 impl ClipBoxes {
+    /// A box without bounds, which shows everything.
+    pub const EVERYTHING: ClipBoxes = ClipBoxes {
+        boxes: [ClipBox { low: DVec3::NEG_INFINITY, high: DVec3::INFINITY, side: Side::Inside };
+            MOST_BOXES],
+        count: 1,
+    };
+
     /// A regular expression that matches every text of boxes, and possibly others.
     pub fn pattern() -> String {
         // Browsers read patterns with the flag `v`, in which a bare `-` in brackets is an error.

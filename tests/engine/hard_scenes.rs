@@ -162,12 +162,7 @@ fn painted_scenes_are_shown_and_always_alike() {
                 let request = drawn(settings, Output::Color);
                 let bytes = studio.bytes(&request);
                 let shows = bytes.chunks_exact(4).any(|pixel| pixel[..3] != BACKGROUND);
-                // From 10⁻¹² above a disk, painted splats show nothing, unlike the others.
-                let is_too_near = camera.name == "down-from-a-hair";
-                assert!(
-                    shows || is_too_near || with_ids < SURELY_SHOWN,
-                    "{with_ids} ids: {request:?}"
-                );
+                assert!(shows || with_ids < SURELY_SHOWN, "{with_ids} ids: {request:?}");
                 same(&studio.bytes(&request), &bytes, &format!("again: {request:?}"));
                 let what = format!("without 64-bit atomics: {request:?}");
                 same(&narrow.bytes(&request), &bytes, &what);

@@ -253,7 +253,7 @@ fn schema_of(value: &Value) -> Option<&'static str> {
         () if has("pixels") => "PickRequest",
         () if has("picks") => "Picks",
         () if has("scene") && has("path") => "JobRequest",
-        () if has("request_id") && has("passes") => "Receipt",
+        () if has("request_id") && has("passes") || has("planned") => "Receipt",
         () if has("seq") => "StreamPose",
         () if has("type") && has("title") => "Problem",
         () if has("translate") || has("matrix") || has("visible") => "NodeChange",

@@ -28,6 +28,8 @@ fn psnr_and_maximum() {
     let expected = 10.0 * (65025.0f64 / 3.0).log10();
     assert!((psnr(&a, &b).unwrap() - expected).abs() < 1e-12);
     assert_eq!(max_error(&a, &b), Ok(6));
+    // Images without pixels are equal, as for SSIM and FLIP.
+    assert_eq!((mse(&[], &[]), psnr(&[], &[])), (Ok(0.0), Ok(f64::INFINITY)));
     let black_white = psnr(&grey([0; 9]), &grey([255; 9])).unwrap();
     assert!(black_white.abs() < 1e-12, "{black_white}");
 }
@@ -120,6 +122,10 @@ fn normal_errors_are_angles() {
     let found = normal_error_deg(&reference, &image).unwrap().unwrap();
     assert_eq!(found.pixels, 3);
     assert!((found.max - 180.0).abs() < 1e-9 && (found.mean - 270.00001 / 3.0).abs() < 1e-9);
+    // What is no number is no normal, and spoils no mean.
+    let broken = [DVec3::NAN, DVec3::Z, DVec3::new(0.0, f64::INFINITY, 0.0), DVec3::Z];
+    let found = normal_error_deg(&reference, &broken).unwrap().unwrap();
+    assert_eq!((found.pixels, found.max, found.mean), (2, 0.0, 0.0));
     let small = normal_error_deg(&[DVec3::Z], &[turned(1e-5)]).unwrap().unwrap();
     assert!((small.max - 1e-5).abs() < 1e-15);
     let bytes = normals_from_rgba8(&[[128, 1, 255, 255], [0, 0, 0, 0]]);

@@ -192,6 +192,55 @@ fn another_look_is_promised_nothing() {
 }
 
 #[test]
+fn requests_that_are_clipped_otherwise_have_the_same_choice() {
+    let (planner, grounds) = planner();
+    let moved = asked(&[("budget_ms", "1000"), ("clip_boxes", "0,0,0,2,1,1")]);
+    let chosen = |asked: &Asked| {
+        let is_clipped = |settings: &Settings| settings.clip_boxes == moved.clip_boxes;
+        let goal = moved.goal().unwrap();
+        planner.choose(&goal, asked, &grounds[..1], &Paces::default(), is_clipped).unwrap()
+    };
+    let of_any = planner.asked(&moved.with_some_goal());
+    let shared = chosen(&of_any.clipped_like(&moved));
+    assert_eq!(shared, chosen(&planner.asked(&moved)));
+    assert_eq!((shared.settings.clip_boxes, shared.plan.keeps), (moved.clip_boxes, None));
+    assert!(shared.plan.because.contains("clip_boxes"), "{}", shared.plan.because);
+}
+
+#[test]
+fn painted_splats_are_chosen_where_they_are_the_most_exact_in_time() {
+    let (_, grounds) = planner();
+    let full = given(FULL);
+    // Painted frames take three times as long, and are 4 dB more exact.
+    let row = |label: &str, reconstruct: &str, db: f64, times: f64| MeasuredRow {
+        label: label.to_owned(),
+        given: given(&[("lod", "full"), ("reconstruct", reconstruct)]),
+        scale: 1.0,
+        points: grounds
+            .iter()
+            .map(|ground| point(0, &full, ground))
+            .map(|Point { mse, ms }| {
+                Some(Point { mse: mse / 10f64.powf(0.1 * db), ms: ms * times })
+            })
+            .collect(),
+    };
+    let rows = vec![row("plain", "splats", 0.0, 1.0), row("over", "painted", 4.0, 3.0)];
+    let planner = Planner::fit(&Measured { poses: Vec::new(), rows }, &grounds);
+    let ground = &grounds[4];
+    let of = |ms: f64| {
+        let chosen = choose(&planner, &[("budget_ms", &format!("{ms:.3}"))], ground).unwrap();
+        (chosen.settings.reconstruct, chosen.plan.keeps)
+    };
+    let plain_ms = point(0, &full, ground).ms;
+    assert_eq!(of(6.0 * plain_ms), (Reconstruct::Painted, Some(true)));
+    assert_eq!(of(2.0 * plain_ms), (Reconstruct::Splats, Some(true)));
+    // What is given stays.
+    let pairs = [("budget_ms", "1000"), ("reconstruct", "splats")];
+    let chosen = choose(&planner, &pairs, ground).unwrap();
+    assert_eq!(chosen.settings.reconstruct, Reconstruct::Splats);
+}
+
+#[test]
 fn settings_that_are_drawn_alike_count_as_the_first() {
     let (_, grounds) = planner();
     let given = given(FULL);

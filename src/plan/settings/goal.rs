@@ -4,6 +4,7 @@ use serde_json::{Map, Value};
 
 use super::{Budget, Given, MinPsnr, Setting, SettingKind, Settings, Trade, declared, kept, words};
 use crate::plan::planner::Goal;
+use crate::scene::clipping::ClipBoxes;
 
 /// The settings that trade accuracy for time and that a request gives, as bits in the order of their declaration. None without a goal, since nothing is chosen then.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -29,10 +30,18 @@ impl Settings {
         Settings { budget_ms, min_psnr_db, pinned: Pinned::default(), ..*self }
     }
 
-    /// The settings with one goal in place of any other: what may be chosen is the same for all goals.
+    /// The settings with one goal in place of any other, and with a box that shows everything in place of clip boxes. What may be chosen is the same for
+    /// all goals and for all boxes.
     #[must_use]
     pub fn with_some_goal(&self) -> Settings {
-        Settings { budget_ms: 1.0.into(), min_psnr_db: MinPsnr::default(), ..*self }
+        let clip_boxes = self.clip_boxes.map(|_| ClipBoxes::EVERYTHING);
+        Settings { budget_ms: 1.0.into(), min_psnr_db: MinPsnr::default(), clip_boxes, ..*self }
+    }
+
+    /// The settings with the clip boxes of others.
+    #[must_use]
+    pub fn clipped_like(&self, other: &Settings) -> Settings {
+        Settings { clip_boxes: other.clip_boxes, ..*self }
     }
 
     pub(super) fn with_pinned<const N: usize>(self, given: [bool; N]) -> Settings {

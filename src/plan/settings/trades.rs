@@ -207,5 +207,8 @@ mod tests {
         let planned = trade_offs(Extent::Planned);
         assert!(planned.iter().all(|found| all.contains(found) && found.family != "auto"));
         assert!(planned.iter().any(|found| found.label == "fuzzy spt 4 px"));
+        // docs/planner.md names what is chosen.
+        let names: BTreeSet<&str> = planned.iter().flat_map(|found| found.given.names()).collect();
+        assert_eq!(names, BTreeSet::from(["antialias", "lod", "max_error_px", "reconstruct"]));
     }
 }
