@@ -297,17 +297,19 @@ impl<'a> Strands<'a> {
         Ok(lines)
     }
 
-    /// Does the same as [`Self::finish`] for a file that has other geometry as well: where no strand is left, that is a warning.
+    /// Does the same as [`Self::finish`] for a format that has other kinds of geometry as well. Where no strand is left of a file that
+    /// `has_others`, `None` and a warning tell so.
     ///
     /// # Errors
-    /// There is no memory for the last strand.
+    /// No strand is left and the file has no other geometry, or there is no memory for the last strand.
     pub fn finish_beside(
         self,
+        has_others: bool,
         warnings: &mut Vec<String>,
     ) -> Result<Option<Polylines>, AssetError> {
         match self.finish(warnings) {
             Ok(lines) => Ok(Some(lines)),
-            Err(AssetError::Malformed { reason, .. }) => {
+            Err(AssetError::Malformed { reason, .. }) if has_others => {
                 warnings.push(format!("lines are left out: {reason}"));
                 Ok(None)
             }
