@@ -5,6 +5,7 @@
 //! line without width. All of it is said in warnings.
 
 use glam::{DVec3, Vec3};
+use rayon::prelude::*;
 
 use super::fields::{self, Column};
 use super::input::Origin;
@@ -15,6 +16,8 @@ use crate::memory::{Admission, Meter};
 /// Bytes of a vertex's place, and of its codes of scalar fields.
 const VERTEX_BYTES: u64 = 24;
 const CODE_BYTES: u64 = 8;
+/// Vertices that a thread colours by their directions at a time.
+const COLORED_AT_A_TIME: usize = 1 << 14;
 
 /// Where the colours of vertices come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -246,9 +249,6 @@ impl<'a> Strands<'a> {
         }
         self.list_meter.reach(4 * (self.lines.strands.len() as u64 + 2))?;
         self.lines.strands.push(begin as u32);
-        if let (Paint::Direction, Some(colors)) = (self.paint, &mut self.lines.colors) {
-            direction_colors(&self.lines.positions[begin..], colors);
-        }
         self.begin = end;
         Ok(())
     }
@@ -290,24 +290,28 @@ impl<'a> Strands<'a> {
         }
         let mut lines = self.lines;
         lines.strands.push(lines.positions.len() as u32);
-        if self.paint == Paint::Floats {
-            lines.colors = Some(tidy::colors_from_floats(&self.floats, warnings));
+        match self.paint {
+            Paint::Floats => lines.colors = Some(tidy::colors_from_floats(&self.floats, warnings)),
+            Paint::Direction => color_by_direction(&mut lines),
+            Paint::Nothing | Paint::Bytes => {}
         }
         lines.fields = fields::encoded(self.columns, warnings);
         Ok(lines)
     }
 
-    /// Does the same as [`Self::finish`] for a file that has other geometry as well: where no strand is left, that is a warning.
+    /// Does the same as [`Self::finish`] for a format that has other kinds of geometry as well. Where no strand is left of a file that
+    /// `has_others`, `None` and a warning tell so.
     ///
     /// # Errors
-    /// There is no memory for the last strand.
+    /// No strand is left and the file has no other geometry, or there is no memory for the last strand.
     pub fn finish_beside(
         self,
+        has_others: bool,
         warnings: &mut Vec<String>,
     ) -> Result<Option<Polylines>, AssetError> {
         match self.finish(warnings) {
             Ok(lines) => Ok(Some(lines)),
-            Err(AssetError::Malformed { reason, .. }) => {
+            Err(AssetError::Malformed { reason, .. }) if has_others => {
                 warnings.push(format!("lines are left out: {reason}"));
                 Ok(None)
             }
@@ -332,23 +336,42 @@ impl<'a> Strands<'a> {
     }
 }
 
-/// Appends the colours of a strand's directions. A vertex has that of the chord between its neighbours; where they are at one
-/// place, that of the segment behind it.
+/// Gives all vertices the colours of their strands' directions, in parallel.
+fn color_by_direction(lines: &mut Polylines) {
+    let Polylines { positions, strands, colors, .. } = lines;
+    let colors = colors.get_or_insert_default();
+    colors.resize(positions.len(), NEUTRAL);
+    colors.par_chunks_mut(COLORED_AT_A_TIME).enumerate().for_each(|(part, colors)| {
+        let begin = part * COLORED_AT_A_TIME;
+        // The strand behind the one that the vertex belongs to.
+        let mut after = strands.partition_point(|&first| first as usize <= begin);
+        for (vertex, color) in (begin..).zip(colors) {
+            after += usize::from(strands[after] as usize <= vertex);
+            let (first, end) = (strands[after - 1] as usize, strands[after] as usize);
+            *color = direction_color(&positions[first..end], vertex - first);
+        }
+    });
+}
+
+/// Appends the colours of a strand's directions.
 pub fn direction_colors(strand: &[DVec3], colors: &mut Vec<[u8; 4]>) {
+    colors.extend((0..strand.len()).map(|at| direction_color(strand, at)));
+}
+
+/// The colour of a strand's direction at a vertex: that of the chord between its neighbours. Where they are at one place, it is that of the
+/// segment behind it.
+fn direction_color(strand: &[DVec3], at: usize) -> [u8; 4] {
     let last = strand.len() - 1;
-    for (at, &position) in strand.iter().enumerate() {
-        let (before, after) = (strand[at.saturating_sub(1)], strand[(at + 1).min(last)]);
-        let chord = if after == before { after - position } else { after - before };
-        // Scaled first: squares of very long or short chords leave the range of f64.
-        let chord = chord / chord.abs().max_element();
-        let channels = chord.abs() * (255.0 / chord.length());
-        colors.push(if channels.is_finite() {
-            let [r, g, b] = channels.to_array().map(|channel| channel.round() as u8);
-            [r, g, b, 255]
-        } else {
-            NEUTRAL
-        });
+    let (before, after) = (strand[at.saturating_sub(1)], strand[(at + 1).min(last)]);
+    let chord = if after == before { after - strand[at] } else { after - before };
+    // Scaled first: squares of very long or short chords leave the range of f64.
+    let chord = chord / chord.abs().max_element();
+    let channels = chord.abs() * (255.0 / chord.length());
+    if !channels.is_finite() {
+        return NEUTRAL;
     }
+    let [r, g, b] = channels.to_array().map(|channel| channel.round() as u8);
+    [r, g, b, 255]
 }
 
 #[cfg(test)]

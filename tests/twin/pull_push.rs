@@ -116,7 +116,6 @@ fn committed_scenes() {
     }
 }
 
-/// Where the ray through a pixel meets a ball about the origin.
 /// Direction of a pixel's ray, and the place on it that is nearest to the origin.
 fn ray_by_the_origin(view: &View, pixel: usize) -> (DVec3, DVec3) {
     let (x, y) = (pixel % view.width as usize, pixel / view.width as usize);
@@ -125,6 +124,7 @@ fn ray_by_the_origin(view: &View, pixel: usize) -> (DVec3, DVec3) {
     (way, view.eye - way * view.eye.dot(way))
 }
 
+/// Whether the ray through a pixel meets a ball about the origin.
 fn meets(view: &View, pixel: usize, radius: f64) -> bool {
     ray_by_the_origin(view, pixel).1.length() < radius
 }
@@ -227,11 +227,15 @@ fn surfaces_behind_an_outline_close() {
 /// Frames of odd sizes, with one sample, with none in view, and with a disk that is larger than the frame.
 #[test]
 fn pyramids_of_any_size() {
-    let lone = case("pulled-lone", &ball(1, 3), json!({ "splats": { "width": 1 } }));
-    let full = case("pulled-sizes", &ball(3000, 4), json!({}));
-    for (width, height) in [(1, 1), (1, 77), (333, 1), (129, 65), (64, 64)] {
+    let sample = ball(1, 3);
+    let place = sample.positions[0];
+    let lone = case("pulled-lone", &sample, json!({ "splats": { "width": 1 } }));
+    let full = case("pulled-sizes", &ball(20_000, 4), json!({}));
+    for (width, height) in [(1, 1), (1, 77), (333, 1), (129, 65), (64, 64), (160, 111)] {
         let view = View { width, height, ..look([0.0, 0.0, 0.2], [1.0, 0.0, 0.0], 60.0) };
         let frames = full.draw_with(&view, pull_push());
+        // Slim frames are drawn as splats: hardly a sample lies along their shorter side.
+        assert_eq!(frames.ran(Pass::ResolvePulled), width.min(height) >= 64, "{width} × {height}");
         // A sample that is not the nearest in its pixel counts nowhere: of a single row, one pixel may stay open.
         let open = (width * height) as usize - frames.covered();
         assert!(open * 300 <= frames.id.len(), "{width} × {height}: {open}");
@@ -240,8 +244,38 @@ fn pyramids_of_any_size() {
         }
         let away = View { width, height, ..look([0.0, 0.0, 9.0], [0.0, 0.0, 20.0], 60.0) };
         assert_eq!(full.draw_with(&away, pull_push()).covered(), 0);
-        lone.draw_with(&view, pull_push());
+        // The disk of the lone sample faces the eye, two units before it.
+        let lens = Lens::Perspective { fov_deg: 60.0 };
+        let camera = Camera { eye: place * 3.0, target: place, up: DVec3::Y, lens };
+        let shown = lone.draw_with(&camera.view(width, height).unwrap(), pull_push());
+        assert!(shown.covered() > 0, "{width} × {height}");
+        for (id, depth) in shown.id.iter().zip(&shown.depth) {
+            let is_there = *id == 1 && (*depth - 2.0).abs() < 0.02;
+            assert!(*id == 0 || is_there, "{width} × {height}: {id} {depth}");
+        }
     }
+}
+
+/// A wall behind a ball that the border cuts: samples beside the image compete with triangles in the border's pixels.
+#[test]
+fn triangles_at_the_border_are_hidden_as_by_the_oracle() {
+    let scene = json!({
+        "assets": { "c": { "file": "c.ply" }, "t": { "file": "t.ply" } },
+        "nodes": [{ "asset": "c" }, { "asset": "t" }]
+    });
+    let (u, v) = (DVec3::new(12.0, 0.0, 0.0), DVec3::new(0.0, 12.0, 0.0));
+    let wall = Shape::quad(DVec3::new(-6.0, -6.0, -1.2), u, v, 1.0);
+    let files = [("c.ply", ball(1500, 17).ply()), ("t.ply", wall.ply())];
+    let case = Case::new("pulled-border-wall", &files, &scene);
+    let view = look([0.9, 0.3, 2.6], [0.9, 0.3, 0.0], 40.0);
+    let frames = check(&case, &view, pull_push(), 30.0);
+    let row = view.width as usize;
+    let of_border = |column: usize, id: u32| {
+        frames.id.iter().skip(column).step_by(row).filter(|&&shown| shown == id).count()
+    };
+    // The ball lies across the left border, the wall behind all of the right one.
+    assert!(of_border(0, 1) > 20, "{}", of_border(0, 1));
+    assert_eq!(of_border(row - 1, 2), view.height as usize);
 }
 
 /// Samples beyond the border of the image fill what they cover of it.

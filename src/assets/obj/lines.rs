@@ -73,10 +73,6 @@ impl Statements<'_> {
             strands.cut()?;
             begin = end;
         }
-        if self.faces.is_empty() {
-            Ok(Some(strands.finish(warnings)?))
-        } else {
-            strands.finish_beside(warnings)
-        }
+        strands.finish_beside(!self.faces.is_empty(), warnings)
     }
 }

@@ -49,6 +49,32 @@ fn attributes_stay_beside_their_vertices_when_others_are_left_out() {
     assert!(warnings[2].starts_with("2 strands of a single vertex"), "{warnings:?}");
 }
 
+/// Strands that end before, at and behind the borders of what threads take.
+#[test]
+fn directions_are_coloured_strand_by_strand() {
+    let origin = origin();
+    let attributes = Attributes { paint: Paint::Direction, ..Attributes::nothing() };
+    let mut strands = Strands::new(&origin, &ReadOptions::default(), attributes);
+    let lengths =
+        [COLORED_AT_A_TIME - 2, 2, 3, COLORED_AT_A_TIME - 4, 1, 3, 2 * COLORED_AT_A_TIME, 7];
+    let (mut expected, mut strand) = (Vec::new(), Vec::new());
+    for (number, length) in lengths.into_iter().enumerate() {
+        strand.clear();
+        let turn = |at: usize| DVec3::new(at as f64, (at as f64 * 0.1).sin(), number as f64);
+        strand.extend((0..length).map(turn));
+        for &position in &strand {
+            strands.vertex(Vertex::at(position)).unwrap();
+        }
+        strands.cut().unwrap();
+        if length > 1 {
+            direction_colors(&strand, &mut expected);
+        }
+    }
+    let lines = strands.finish(&mut Vec::new()).unwrap();
+    assert_eq!(lines.strands.len(), lengths.len());
+    assert_eq!(lines.colors.unwrap(), expected);
+}
+
 #[test]
 fn directions_are_colours() {
     let origin = origin();

@@ -216,11 +216,7 @@ impl PolyData {
             }
             strands.cut()?;
         }
-        if self.polys.len() + self.strips.len() > 0 {
-            strands.finish_beside(&mut self.warnings)
-        } else {
-            strands.finish(&mut self.warnings).map(Some)
-        }
+        strands.finish_beside(self.polys.len() + self.strips.len() > 0, &mut self.warnings)
     }
 }
 

@@ -1,8 +1,10 @@
 //! Picks of lines: where a pixel's ray meets a tube or a ribbon, and which place of the file's strand is there.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::ops::Range;
 
 use glam::{DAffine3, DVec3};
+use rayon::prelude::*;
 
 use super::{Element, HitKind, PickedStrand, Tint, base, linear};
 use crate::bake::pack::{NO_NORMAL, PackedChunk, PackedField, PackedLines, octahedral_decode};
@@ -129,30 +131,49 @@ fn weights([a, b, c]: [DVec3; 3], way: DVec3) -> Option<[f64; 3]> {
 }
 
 /// Returns the vertices of the wanted strands. `lines` are at full detail.
+///
+/// Segments are sorted by place, so those of a strand may lie in any chunk. Chunks are searched in parallel. Most segments are dismissed by their
+/// number alone, because it lies before or behind all wanted strands.
 pub(super) fn strands(lines: &PackedLines, wanted: &BTreeSet<u32>) -> Strands {
-    // Sorted by the number of the first vertex, as strands are.
-    let mut found: Vec<(u32, u32, Vec<DVec3>)> = wanted
+    // Sorted by the number of the first vertex, as strands are: each with its number and that of its first vertex and of the one behind its last.
+    let spans: Vec<(u32, Range<u32>)> = wanted
         .iter()
         .filter_map(|&strand| {
             let [first, end] = *lines.strands.get(strand as usize..)?.first_chunk::<2>()?;
-            Some((first, strand, vec![DVec3::NAN; end.saturating_sub(first) as usize]))
+            Some((strand, first..end))
         })
         .collect();
-    for chunk in &lines.chunks {
-        for segment in chunk.elements() {
-            let Some(&[_, number]) = lines.segments.get(segment) else { continue };
-            let after = found.partition_point(|(first, ..)| *first <= number);
-            let Some(before) = after.checked_sub(1) else { continue };
-            let (first, _, vertices) = &mut found[before];
-            let at = (number - *first) as usize;
-            // A segment beyond the end belongs to a strand that is not wanted.
-            let Some(pair) = vertices.get_mut(at..at + 2) else { continue };
-            if let Some(ends) = lines.ends(chunk, segment) {
-                pair.copy_from_slice(&ends.map(|end| end.position));
+    let (Some((_, first)), Some((_, last))) = (spans.first(), spans.last()) else {
+        return Strands::new();
+    };
+    let all = first.start..last.end;
+    // The index of the wanted strand of a segment.
+    let strand_of = |number: u32| {
+        let after = spans.partition_point(|(_, span)| span.start <= number);
+        let before = after.checked_sub(1)?;
+        spans.get(before).is_some_and(|(_, span)| span.contains(&number)).then_some(before)
+    };
+    let of_chunk = |chunk: &PackedChunk| -> Vec<(usize, u32, [DVec3; 2])> {
+        let found = chunk.elements().filter_map(|segment| {
+            let &[_, number] = lines.segments.get(segment)?;
+            if !all.contains(&number) {
+                return None;
             }
+            let strand = strand_of(number)?;
+            Some((strand, number, lines.ends(chunk, segment)?.map(|end| end.position)))
+        });
+        found.collect()
+    };
+    let found: Vec<_> = lines.chunks.par_iter().map(of_chunk).collect();
+    let mut vertices: Vec<Vec<DVec3>> =
+        spans.iter().map(|(_, span)| vec![DVec3::NAN; span.len()]).collect();
+    for (strand, number, ends) in found.into_iter().flatten() {
+        let at = (number - spans[strand].1.start) as usize;
+        if let Some(pair) = vertices[strand].get_mut(at..at + 2) {
+            pair.copy_from_slice(&ends);
         }
     }
-    found.into_iter().map(|(_, strand, vertices)| (strand, vertices)).collect()
+    spans.into_iter().zip(vertices).map(|((strand, _), vertices)| (strand, vertices)).collect()
 }
 
 /// Returns the place of a strand of the file that is nearest to `place`: the vertex before it, and the share of the way to the next vertex.
@@ -282,6 +303,10 @@ mod tests {
             assert!(found.distance(*expected) <= step, "{found} {expected}");
         }
         assert_eq!(vertices.len(), 500);
+        let both = super::strands(&full, &BTreeSet::from([0, 1, 7]));
+        assert_eq!((both.len(), &both[&1], both[&0].len()), (2, vertices, 500));
+        assert!(both[&0].iter().all(|vertex| vertex.is_finite() && vertex.y.abs() <= step));
+        assert_eq!(super::strands(&full, &BTreeSet::from([7])), Strands::new());
         let (mut runs, mut parts) = (0, 0);
         for chunk in &levels.chunks {
             for segment in chunk.elements() {
