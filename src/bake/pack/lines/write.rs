@@ -270,7 +270,7 @@ pub fn pack_levels(
 }
 
 /// Bytes that packing lines needs.
-pub(super) fn packing_bytes(lines: &Polylines) -> u64 {
+pub(in crate::bake::pack) fn packing_bytes(lines: &Polylines) -> u64 {
     // Cells, stamps, sides, and packed vertices with their numbers, twice: chunks that share a vertex each store it. The order and packed segments.
     (12 + 8 + 12 + 2 * (28 + 4)) * lines.positions.len() as u64
         + (16 + 8) * lines.positions.len() as u64
