@@ -543,13 +543,14 @@ fn cameras_and_lights() {
           "orthographic": { "xmag": 1, "ymag": 1, "zfar": 2, "znear": 1 } }
     ]);
     let half = std::f32::consts::FRAC_1_SQRT_2;
-    document.node(json!({ "camera": 0, "translation": [0, 0, 9], "rotation": [0, half, 0, half] }));
+    document.node(json!({ "camera": 0, "translation": [9, 0, 0], "rotation": [0, half, 0, half] }));
     document.node(json!({ "camera": 1 }));
     document.node(json!({ "extensions": { "KHR_lights_punctual": { "light": 0 } } }));
     let asset = document.read().unwrap();
     let [(name, camera), (_, flat)] = &asset.cameras[..] else { panic!("{:?}", asset.cameras) };
     assert_eq!(name, "front");
-    assert!(close(camera.eye, [0.0, 0.0, 9.0]) && close(camera.target, [-1.0, 0.0, 9.0]));
+    // It looks at the middle of the square, whose x are 0 to 1.
+    assert!(close(camera.eye, [9.0, 0.0, 0.0]) && close(camera.target, [0.5, 0.0, 0.0]));
     assert!((camera.lens.fov_deg().unwrap() - 57.29578).abs() < 1e-4);
     assert_eq!(flat.lens.ortho_height(), Some(2.0), "twice ymag");
     assert_eq!(asset.warnings.len(), 1);
