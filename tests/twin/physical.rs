@@ -255,6 +255,24 @@ fn light_opposite_to_the_eye_makes_no_highlight() {
     assert!(red < 60, "{red}");
 }
 
+/// A node may lay a material over glass that is not lit, or that is one of Phong's model. It lets no light pass then, and its alpha does not
+/// blend, so that nothing behind it shows.
+#[test]
+fn glass_is_opaque_under_other_materials() {
+    for (name, over) in [
+        ("glass-unlit-node", json!({ "unlit": true })),
+        ("glass-phong-node", json!({ "shininess": 20 })),
+    ] {
+        let glass = json!({ "extensions": { "KHR_materials_transmission": { "transmissionFactor": 1 } },
+            "pbrMetallicRoughness": { "metallicFactor": 0, "baseColorFactor": [0.2, 0.2, 0.2, 0.4] } });
+        let more = json!({ "materials": { "over": over }, "lights": [],
+            "nodes": [{ "asset": "m", "material": "over" }], "background": "#ffffff" });
+        let [red, _, _, alpha] = middle(&sheet(name, glass, more));
+        // 124 is the byte of 0.2; with an alpha of 0.4 it would be 214.
+        assert!((122..=126).contains(&red) && alpha == 255, "{name}: {red} {alpha}");
+    }
+}
+
 /// Bumps, rougher and smoother places, dark folds and glowing spots.
 fn maps(glb: &mut Glb) -> Value {
     let wave = |x: u32, period: f64| (f64::from(x) * std::f64::consts::TAU / period).sin();
