@@ -1,6 +1,6 @@
 //! Materials and their base textures, made when a primitive first asks for them.
 //!
-//! Lines, and whatever else knows Phong's model alone, have metallic–roughness as
+//! Where a node's material makes a surface one of Phong's model, what the node leaves open is metallic–roughness as
 //! `specular = mix(0.04, base, metallic)` and `shininess = 2 / roughness⁴ − 2`, clamped to 1..=512:
 //! the reflectance at normal incidence, and the exponent whose lobe is as wide as a Beckmann
 //! distribution of slope `roughness²` (Walter et al., "Microfacet Models for Refraction", 2007).
