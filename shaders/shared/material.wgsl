@@ -72,6 +72,8 @@ fn effective_material(own: Material, over_plus_one: u32) -> Material {
     }
     if (over.overrides & (OVERRIDE_SPECULAR | OVERRIDE_SHININESS)) != 0u {
         m.flags &= ~MATERIAL_PHYSICAL;
+        // Phong's model has none.
+        m.transmission = 0.0;
     }
     if (over.overrides & (OVERRIDE_METALLIC | OVERRIDE_ROUGHNESS | OVERRIDE_TRANSMISSION)) != 0u {
         m.flags |= MATERIAL_PHYSICAL;

@@ -43,12 +43,13 @@ fn reflected_light(albedo: vec3<f32>, material: Material, n: vec3<f32>, to_light
     let nl = max(dot(n, to_light), 0.0);
     let nv = clamp(dot(n, to_eye), 1e-4, 1.0);
     let sum = to_light + to_eye;
-    let h = sum / max(length(sum), 1e-6);
+    let sum_length = length(sum);
+    let h = sum / max(sum_length, 1e-6);
     // 1 − (n·h)² as a cross product: the difference would lose what narrow lobes consist of.
     let nh = dot(n, h);
     let across = cross(n, h);
-    // No less than at the middle of the lobe, also where light and eye are opposite and there is no half vector.
-    let spread = max(squared * nh * nh + dot(across, across), squared);
+    // No less than at the middle of the lobe. Where light and eye are opposite there is no half vector, and no facet mirrors one to the other.
+    let spread = select(1.0, max(squared * nh * nh + dot(across, across), squared), sum_length > 1e-6);
     let distribution = squared / (spread * spread);
     let visibility = 0.5 / (nl * sqrt(nv * nv * (1.0 - squared) + squared) + nv * sqrt(nl * nl * (1.0 - squared) + squared));
     let m = 1.0 - clamp(dot(to_eye, h), 0.0, 1.0);

@@ -206,10 +206,12 @@ struct Stats {
     splats_wanted: atomic<u32>,
     // Threads that have splats left to paint; a frame with any is not shown.
     paint_cut: atomic<u32>,
+    // Of the pixels of all layers, the bits of the largest share of a channel's light from behind that passes all of them.
+    passing_most: atomic<u32>,
 }
 
 // Words of a view's record, and places in it for those who only read.
-const STATS_WORDS: u32 = 31u;
+const STATS_WORDS: u32 = 32u;
 const STAT_LARGE_LONGEST: u32 = 8u;
 const STAT_LARGE_UNITS: u32 = 9u;
 const STAT_LARGE_WRAPPED: u32 = 10u;

@@ -262,7 +262,7 @@ pub struct Material {
     pub base_color: [f32; 4],
     /// Index into [`Asset::textures`].
     pub base_texture: Option<u32>,
-    /// Linear specular colour of Phong's model; also that of lines, whatever their material.
+    /// Linear specular colour of Phong's model; of other materials, that under a node's material of Phong's model.
     pub specular: [f32; 3],
     /// Phong exponent, ≥ 1.
     pub shininess: f32,

@@ -156,16 +156,23 @@ impl KeptShape {
     }
 }
 
+/// The last number is the field of view of a perspective, or the negative height of an orthographic view.
 fn camera_bits(c: &Camera) -> [u64; 10] {
     let (eye, target, up) = (c.eye, c.target, c.up);
-    // A sensor's camera is a perspective.
-    let fov_deg = c.lens.fov_deg().unwrap_or(f64::NAN);
-    bits([eye.x, eye.y, eye.z, target.x, target.y, target.z, up.x, up.y, up.z, fov_deg])
+    let lens = match c.lens {
+        Lens::Perspective { fov_deg } => fov_deg,
+        Lens::Orthographic { height } => -height,
+    };
+    bits([eye.x, eye.y, eye.z, target.x, target.y, target.z, up.x, up.y, up.z, lens])
 }
 
 fn camera(bits: &[u64; 10]) -> Camera {
     let [eye, target, up] = [&bits[..3], &bits[3..6], &bits[6..9]].map(vec3);
-    Camera { eye, target, up, lens: Lens::Perspective { fov_deg: f64::from_bits(bits[9]) } }
+    let lens = match f64::from_bits(bits[9]) {
+        height if height < 0.0 => Lens::Orthographic { height: -height },
+        fov_deg => Lens::Perspective { fov_deg },
+    };
+    Camera { eye, target, up, lens }
 }
 
 fn bits<const N: usize>(numbers: [f64; N]) -> [u64; N] {
@@ -434,5 +441,18 @@ impl CloudEntry {
     #[cfg(not(unix))]
     fn identity(&self) -> io::Result<Option<([u8; 32], Duration)>> {
         Ok(None)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn kept_cameras_have_their_projection() {
+        for lens in [Lens::Perspective { fov_deg: 40.0 }, Lens::Orthographic { height: 12.5 }] {
+            let own = Camera { eye: DVec3::ONE, target: DVec3::ZERO, up: DVec3::Y, lens };
+            assert_eq!(camera(&camera_bits(&own)), own);
+        }
     }
 }

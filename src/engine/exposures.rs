@@ -201,6 +201,8 @@ fn together(a: GpuStats, b: &GpuStats) -> GpuStats {
         deepest: a.deepest.max(b.deepest),
         splats_wanted: a.splats_wanted.max(b.splats_wanted),
         paint_cut: a.paint_cut.max(b.paint_cut),
+        // Floats that are not negative have the order of their bits.
+        passing_most: a.passing_most.max(b.passing_most),
         // Bounds serve one exposure alone.
         drawn_bounds: a.drawn_bounds,
     }

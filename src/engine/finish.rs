@@ -158,6 +158,7 @@ fn receipt(state: &EngineState, drawn: &Drawn) -> Receipt {
             layers: LAYERS,
             deepest: drawn.stats.deepest,
             pixels_of_all_layers: u64::from(drawn.stats.pixels_of_all_layers),
+            most_left_out: f32::from_bits(drawn.stats.passing_most),
         }),
         holes_filled: runs(Pass::ResolvePulled).then_some(u64::from(drawn.stats.pixels_filled)),
         gpu_bytes: drawn.gpu_bytes,

@@ -327,11 +327,9 @@ fn shaded(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: usize) -
         let reflection = surface.details.reflection;
         reflection.map_or(0.0, |own| own.passing(surface.albedo[channel], channel, facing))
     };
-    let transmission = surface.details.reflection.and_then(|own| own.transmission);
-    let is_solid = transmission.is_some_and(|own| own.is_solid);
     Shaded {
         color: shade::shade(&surface, prepared, view.eye),
-        alpha: if is_solid { 1.0 } else { surface.alpha.clamp(0.0, 1.0) },
+        alpha: surface.alpha.clamp(0.0, 1.0),
         passing: std::array::from_fn(passing),
     }
 }

@@ -27,8 +27,6 @@ pub struct Transmission {
     pub share: f64,
     /// What the volume behind the surface leaves of it.
     pub volume: [f64; 3],
-    /// Alpha does not say how much the surface hides.
-    pub is_solid: bool,
 }
 
 /// What a material adds to Lambert's and Phong's models.

@@ -77,14 +77,13 @@ impl Surface {
         }
     }
 
-    /// Lets light pass as a material has it. `blends`: alpha says how much the surface hides.
-    fn transmit(&mut self, material: &Material, blends: bool) {
+    /// Lets light pass as a material has it.
+    fn transmit(&mut self, material: &Material) {
         let Some(own) = material.physical.filter(|_| material.transmits()) else { return };
         if let Some(reflection) = &mut self.details.reflection {
             reflection.transmission = Some(Transmission {
                 share: own.transmission.into(),
                 volume: own.volume.map(f64::from),
-                is_solid: !blends,
             });
         }
     }
@@ -257,7 +256,12 @@ fn triangle(
     surface.turn_to_eye();
     let over = item.item.override_material;
     let is_clear = over.and_then(|over| over.base_color).is_some_and(|color| color[3] < 1.0);
-    surface.transmit(&material, own.blends() || is_clear);
+    surface.transmit(&material);
+    let is_glass = own.transmits() || material.transmits();
+    if is_glass && !own.blends() && !is_clear {
+        // Alpha does not say how much it hides, also where the node's material takes its transmission away.
+        surface.alpha = 1.0;
+    }
     if let Some(uvs) = corner_values(&mesh.uvs, corners).filter(|_| own.has_maps()) {
         let uvs = uvs.map(|uv| uv.as_dvec2());
         let footprint = uv_footprint(&seen, view, ray, uvs);

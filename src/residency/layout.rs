@@ -174,6 +174,8 @@ pub struct GpuStats {
     pub pixels_of_segments: u32,
     pub splats_wanted: u32,
     pub paint_cut: u32,
+    /// Bits of a float that is not negative.
+    pub passing_most: u32,
 }
 
 /// `Material` of `shared/material.wgsl`.

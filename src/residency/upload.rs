@@ -207,7 +207,7 @@ fn looks(model: &SceneModel) -> Looks {
     let maps = materials.clone().any(Material::has_maps);
     let textures = maps || materials.clone().any(|material| material.base_texture.is_some());
     let unlit = materials.clone().any(|material| material.unlit);
-    // Lines have Phong's model, whatever their material. So has every surface of a node whose material has one of its keys.
+    // Thin lines and ribbons have Phong's model, whatever their material. So has every surface of a node whose material has one of its keys.
     let has_phong =
         model.counts().segments > 0 || model.materials.iter().any(MaterialSpec::is_phong);
     let shines =

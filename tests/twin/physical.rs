@@ -237,6 +237,42 @@ fn nodes_of_glass() {
     assert!(frames.ran(Pass::CompositeLayers));
 }
 
+/// A normal map may turn a normal away from the eye, to light from straight behind. There is no half vector then, and no highlight.
+#[test]
+fn light_opposite_to_the_eye_makes_no_highlight() {
+    let mut glb = Glb::new();
+    let away = glb.texture(&picture(2, 2, |_, _| [220, 128, 40, 255]), json!({}));
+    let material = glb.material(json!({ "normalTexture": { "index": away },
+        "pbrMetallicRoughness": { "metallicFactor": 0, "roughnessFactor": 0.1 } }));
+    let sheet = Shape::quad(DVec3::new(-1.0, -1.0, 0.0), DVec3::X * 2.0, DVec3::Y * 2.0, 1.0);
+    let mesh = glb.mesh(&sheet, Some(material));
+    glb.node(mesh, json!({}));
+    let (files, mut scene) = scene(glb);
+    scene["lights"] = json!([{ "kind": "sun", "direction": [0, 0, 1] }]);
+    let case = Case::new("physical-opposite", &files, &scene);
+    let view = super::orthographic::look([0.0, 0.0, 2.0], [0.0; 3], 1.5);
+    let [red, ..] = middle(&case.check(&view, &Tolerance::default()));
+    assert!(red < 60, "{red}");
+}
+
+/// A node may lay a material over glass that is not lit, or that is one of Phong's model. It lets no light pass then, and its alpha does not
+/// blend, so that nothing behind it shows.
+#[test]
+fn glass_is_opaque_under_other_materials() {
+    for (name, over) in [
+        ("glass-unlit-node", json!({ "unlit": true })),
+        ("glass-phong-node", json!({ "shininess": 20 })),
+    ] {
+        let glass = json!({ "extensions": { "KHR_materials_transmission": { "transmissionFactor": 1 } },
+            "pbrMetallicRoughness": { "metallicFactor": 0, "baseColorFactor": [0.2, 0.2, 0.2, 0.4] } });
+        let more = json!({ "materials": { "over": over }, "lights": [],
+            "nodes": [{ "asset": "m", "material": "over" }], "background": "#ffffff" });
+        let [red, _, _, alpha] = middle(&sheet(name, glass, more));
+        // 124 is the byte of 0.2; with an alpha of 0.4 it would be 214.
+        assert!((122..=126).contains(&red) && alpha == 255, "{name}: {red} {alpha}");
+    }
+}
+
 /// Bumps, rougher and smoother places, dark folds and glowing spots.
 fn maps(glb: &mut Glb) -> Value {
     let wave = |x: u32, period: f64| (f64::from(x) * std::f64::consts::TAU / period).sin();

@@ -194,11 +194,14 @@ fn more_layers_than_are_kept() {
     let seven = case("seven", &stack(7, 0.2)).check(&view(), &Tolerance::default());
     let drawn = seven.receipt.translucent.unwrap();
     assert_eq!((drawn.layers, drawn.deepest, drawn.pixels_of_all_layers), (8, 7, 0));
+    assert_eq!(drawn.most_left_out, 0.0);
     let few = case("eight", &stack(8, 0.2)).check(&view(), &Tolerance::default());
     let mut parts = stack(12, 0.2);
     let many = case("twelve", &parts).draw(&view());
     let drawn = many.receipt.translucent.unwrap();
     assert!(drawn.deepest == 8 && drawn.pixels_of_all_layers > 1000, "{drawn:?}");
+    // Each of the eight panes lets 0.8 pass.
+    assert!((drawn.most_left_out - 0.8f32.powi(8)).abs() < 1e-3, "{drawn:?}");
     // The eight nearest are kept, whichever triangles came first.
     parts.reverse();
     let reversed = case("twelve-reversed", &parts).draw(&view());

@@ -1,6 +1,6 @@
 //! Materials and their base textures, made when a primitive first asks for them.
 //!
-//! Lines, and whatever else knows Phong's model alone, have metallic–roughness as
+//! Where a node's material makes a surface one of Phong's model, what the node leaves open is metallic–roughness as
 //! `specular = mix(0.04, base, metallic)` and `shininess = 2 / roughness⁴ − 2`, clamped to 1..=512:
 //! the reflectance at normal incidence, and the exponent whose lobe is as wide as a Beckmann
 //! distribution of slope `roughness²` (Walter et al., "Microfacet Models for Refraction", 2007).
@@ -52,6 +52,10 @@ pub(super) struct Materials<'a> {
     known: HashMap<usize, (u32, TexturePlacement)>,
     /// `None` for one that cannot be had.
     known_textures: HashMap<Sampled, Option<u32>>,
+    /// By the number of a material that light passes through.
+    absorbing: HashMap<u32, Absorption>,
+    /// By the number of such a material, and what it lets through where its mesh is scaled.
+    scaled: HashMap<(u32, [u32; 3]), u32>,
     pub materials: Vec<Material>,
     pub textures: Vec<Texture>,
     pub warnings: Vec<String>,
@@ -79,7 +83,32 @@ struct Surface {
     map: Option<Reference>,
     transmission: f32,
     transmission_map: Option<Reference>,
-    volume: [f32; 3],
+    absorption: Option<Absorption>,
+}
+
+/// How the volume behind a surface takes up light (KHR_materials_volume, Beer's law).
+#[derive(Clone, Copy)]
+struct Absorption {
+    /// What is left of white light after the attenuation distance.
+    color: [f32; 3],
+    /// Thickness over attenuation distance, where the mesh is not scaled.
+    depth: f32,
+}
+
+impl Absorption {
+    /// `None` where all light passes, also for distances that the standard excludes: zero and less.
+    fn of(volume: &Volume) -> Option<Absorption> {
+        let depth = volume.thickness_factor.0 / volume.attenuation_distance.0;
+        let color = volume.attenuation_color.0.map(unit);
+        let absorbs = depth.is_finite() && depth > 0.0 && color != [1.0; 3];
+        absorbs.then_some(Absorption { color, depth })
+    }
+
+    /// What passes where the mesh is scaled: the thickness is in its units.
+    fn left(&self, scale: f64) -> [f32; 3] {
+        let depth = f64::from(self.depth) * scale;
+        self.color.map(|channel| f64::from(channel).powf(depth) as f32)
+    }
 }
 
 /// The maps that a document names beside those of a [`Surface`], each with the factor of what it shows.
@@ -103,6 +132,8 @@ impl<'a> Materials<'a> {
             budget: TextureBudget::new(options),
             known: HashMap::new(),
             known_textures: HashMap::new(),
+            absorbing: HashMap::new(),
+            scaled: HashMap::new(),
             materials: Vec::new(),
             textures: Vec::new(),
             warnings: Vec::new(),
@@ -143,7 +174,7 @@ impl<'a> Materials<'a> {
             map: self.texture(map, Encoding::Linear, place),
             transmission: surface.transmission,
             transmission_map: self.texture(transmission_map, Encoding::Linear, place),
-            volume: surface.volume,
+            volume: surface.absorption.map_or([1.0; 3], |own| own.left(1.0)),
         };
         let mut scaled = |own: Option<(Reference, f32)>| {
             let (reference, factor) = own?;
@@ -183,6 +214,9 @@ impl<'a> Materials<'a> {
             translucent: transmits || matches!(source.alpha_mode, Checked::Valid(AlphaMode::Blend)),
         });
         let known = (self.materials.len() as u32 - 1, placement);
+        if let Some(absorption) = surface.absorption.filter(|_| transmits) {
+            self.absorbing.insert(known.0, absorption);
+        }
         self.known.insert(index.value(), known);
         Some(known)
     }
@@ -207,7 +241,39 @@ impl<'a> Materials<'a> {
             physical,
             ..own.clone()
         });
-        self.materials.len() as u32 - 1
+        let made = self.materials.len() as u32 - 1;
+        if let Some(absorption) = self.absorbing.get(&number).copied() {
+            self.absorbing.insert(made, absorption);
+        }
+        made
+    }
+
+    /// Whether the scale of its mesh changes what a material lets through.
+    pub fn absorbs(&self, number: u32) -> bool {
+        self.absorbing.contains_key(&number)
+    }
+
+    /// The material for a mesh that is scaled.
+    pub fn scaled(&mut self, number: u32, scale: f64) -> u32 {
+        let (Some(absorption), Some(own)) =
+            (self.absorbing.get(&number), self.materials.get(number as usize))
+        else {
+            return number;
+        };
+        let volume = absorption.left(scale);
+        let Some(physical) = own.physical.filter(|physical| physical.volume != volume) else {
+            return number;
+        };
+        let key = (number, volume.map(f32::to_bits));
+        if let Some(&known) = self.scaled.get(&key) {
+            return known;
+        }
+        let physical = Some(Physical { volume, ..physical });
+        let material = Material { physical, ..own.clone() };
+        self.materials.push(material);
+        let made = self.materials.len() as u32 - 1;
+        self.scaled.insert(key, made);
+        made
     }
 
     /// Decodes a texture of a material, or says why not and returns `None`; `place`: the material's name, and how its vertices' texture
@@ -326,15 +392,8 @@ fn metallic_roughness(source: &material::Material) -> Surface {
         transmission: transmission.map_or(0.0, |own| unit(own.transmission_factor.0)),
         transmission_map: transmission
             .and_then(|own| own.transmission_texture.as_ref().map(reference)),
-        volume: extensions.and_then(|ext| ext.volume.as_ref()).map_or([1.0; 3], left_by),
+        absorption: extensions.and_then(|ext| ext.volume.as_ref()).and_then(Absorption::of),
     }
-}
-
-/// What a volume leaves of white light that passes it by its thickness (KHR_materials_volume, Beer's law).
-fn left_by(volume: &Volume) -> [f32; 3] {
-    let depth = volume.thickness_factor.0 / volume.attenuation_distance.0;
-    let depth = if depth.is_finite() { depth.max(0.0) } else { 0.0 };
-    volume.attenuation_color.0.map(|channel| unit(channel).powf(depth))
 }
 
 /// Light that the surface gives off; KHR_materials_emissive_strength lets it exceed 1.
@@ -415,7 +474,7 @@ fn specular_glossiness(source: &material::Material) -> Option<Surface> {
         map: None,
         transmission: 0.0,
         transmission_map: None,
-        volume: [1.0; 3],
+        absorption: None,
     })
 }
 

@@ -95,7 +95,7 @@ pub fn read_from(mut input: Input, options: &ReadOptions) -> Result<Asset, Asset
         warnings.extend(counted(count as u64, one, many));
     }
     options.progress.report(1.0);
-    Ok(Asset {
+    let mut asset = Asset {
         geometries: primitives.geometries,
         materials: materials.materials,
         textures: materials.textures,
@@ -104,7 +104,12 @@ pub fn read_from(mut input: Input, options: &ReadOptions) -> Result<Asset, Asset
         sensor: None,
         warnings,
         format: if bytes.starts_with(container::MAGIC) { "glb" } else { "gltf" },
-    })
+    };
+    if !asset.cameras.is_empty() {
+        let bounds = asset.bounds();
+        scene::aim(&mut asset.cameras, &bounds);
+    }
+    Ok(asset)
 }
 
 fn check_extensions(root: &Root, file: &str, warnings: &mut Vec<String>) -> Result<(), AssetError> {

@@ -27,9 +27,22 @@ pub(super) struct Primitives<'a> {
     shared: Option<([Option<usize>; 4], TexturePlacement, Rc<Attributes>)>,
     /// By mesh, the geometries that its primitives became.
     known: HashMap<usize, Vec<usize>>,
+    /// By geometry, for those through which light passes.
+    scales: HashMap<usize, Scales>,
     pub geometries: Vec<Geometry>,
     pub warnings: Vec<String>,
 }
+
+/// The scales at which a geometry is drawn.
+struct Scales {
+    /// Its material where it is not scaled.
+    material: u32,
+    /// Each scale and the geometry that has its material.
+    known: Vec<(f64, usize)>,
+}
+
+/// Scales of one geometry that have materials of their own; others take the material of the nearest.
+const MOST_SCALES: usize = 16;
 
 /// A vertex's attributes, in parallel.
 #[derive(Clone)]
@@ -55,6 +68,7 @@ impl<'a> Primitives<'a> {
             triangles_left: options.max_triangles,
             shared: None,
             known: HashMap::new(),
+            scales: HashMap::new(),
             geometries: Vec::new(),
             warnings: Vec::new(),
         }
@@ -85,6 +99,53 @@ impl<'a> Primitives<'a> {
         }
         self.known.insert(index.value(), geometries.clone());
         Ok(geometries)
+    }
+
+    /// The geometry for a node that is scaled. Its material may depend on the scale; then each scale has a geometry.
+    pub fn scaled(
+        &mut self,
+        geometry: usize,
+        scale: f64,
+        place: &str,
+        materials: &mut Materials,
+    ) -> Result<usize, AssetError> {
+        let Some(Geometry::Mesh(mesh)) = self.geometries.get(geometry) else { return Ok(geometry) };
+        let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
+        let material = mesh.parts.first().and_then(|part| part.material);
+        let Some(Scales { material, known }) = self.scales.get(&geometry) else {
+            let Some(material) = material.filter(|&own| materials.absorbs(own)) else {
+                return Ok(geometry);
+            };
+            // The first scale takes the geometry itself.
+            self.scales.insert(geometry, Scales { material, known: vec![(scale, geometry)] });
+            self.paint(geometry, materials.scaled(material, scale));
+            return Ok(geometry);
+        };
+        let ratio = |own: f64| (own.ln() - scale.ln()).abs();
+        let nearest = known.iter().min_by(|a, b| ratio(a.0).total_cmp(&ratio(b.0)));
+        let nearest = nearest.copied().unwrap_or((scale, geometry));
+        if nearest.0 == scale || known.len() >= MOST_SCALES {
+            return Ok(nearest.1);
+        }
+        let material = materials.scaled(*material, scale);
+        self.keep(vertices, triangles, place)?;
+        let Some(copy) = self.geometries.get(geometry).cloned() else { return Ok(geometry) };
+        let made = self.geometries.len();
+        self.geometries.push(copy);
+        self.paint(made, material);
+        if let Some(scales) = self.scales.get_mut(&geometry) {
+            scales.known.push((scale, made));
+        }
+        Ok(made)
+    }
+
+    /// Gives a mesh another material.
+    fn paint(&mut self, geometry: usize, material: u32) {
+        if let Some(Geometry::Mesh(mesh)) = self.geometries.get_mut(geometry) {
+            for part in &mut mesh.parts {
+                part.material = Some(material);
+            }
+        }
     }
 
     fn primitive(

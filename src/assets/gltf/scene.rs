@@ -9,7 +9,7 @@ use super::super::{AssetError, Placement};
 use super::buffers::Buffers;
 use super::material::Materials;
 use super::primitive::Primitives;
-use crate::math::{Camera, Lens};
+use crate::math::{Bounds, Camera, Lens};
 
 /// Vertices that a placement counts for.
 const PLACEMENT_COST: u64 = 4;
@@ -53,15 +53,15 @@ pub(super) fn walk(
             let mesh_name = root.get(mesh).and_then(|mesh| mesh.name.clone());
             let name = node.name.clone().or(mesh_name).unwrap_or_else(|| format!("node {index}"));
             for local in instances(node, index, buffers, file)? {
-                buffers.keep(
-                    &format!("nodes[{index}]"),
-                    PLACEMENT_COST.saturating_mul(geometries.len() as u64),
-                )?;
-                drawn.placements.extend(geometries.iter().map(|&geometry| Placement {
-                    name: name.clone(),
-                    geometry,
-                    asset_from_geometry: asset_from_node * local,
-                }));
+                let place = format!("nodes[{index}]");
+                buffers.keep(&place, PLACEMENT_COST.saturating_mul(geometries.len() as u64))?;
+                let asset_from_geometry = asset_from_node * local;
+                let scale = mean_scale(&asset_from_geometry);
+                for &geometry in &geometries {
+                    let geometry = primitives.scaled(geometry, scale, &place, materials)?;
+                    let name = name.clone();
+                    drawn.placements.push(Placement { name, geometry, asset_from_geometry });
+                }
             }
         }
         for child in node.children.iter().flatten().rev() {
@@ -97,6 +97,13 @@ fn parent_from_node(node: &Node) -> DAffine3 {
     let scale = node.scale.map_or(DVec3::ONE, |s| Vec3::from_array(s).as_dvec3());
     let rotation = node.rotation.map_or(DQuat::IDENTITY, |q| quaternion(q.0));
     DAffine3::from_scale_rotation_translation(scale, rotation, translation)
+}
+
+/// The factor of lengths, on average over directions, in steps of 0.07 %: scales that differ by rounding alone are one.
+fn mean_scale(map: &DAffine3) -> f64 {
+    const STEPS: f64 = 1024.0;
+    let scale = map.matrix3.determinant().abs().cbrt();
+    if scale.is_finite() { ((scale.log2() * STEPS).round() / STEPS).exp2() } else { 1.0 }
 }
 
 fn quaternion(xyzw: [f32; 4]) -> DQuat {
@@ -190,5 +197,61 @@ impl Drawn {
         } else {
             self.unusable_cameras += 1;
         }
+    }
+}
+
+/// Moves the target of each camera along its viewing direction into the middle of what it sees of the scene. glTF has no targets; what
+/// frames derive from their distance (focus, the plane of stereo pairs, the middle of an orbit) must have the scene's size.
+pub(super) fn aim(cameras: &mut [(String, Camera)], scene: &Bounds) {
+    for (_, camera) in cameras {
+        let forward = (camera.target - camera.eye).normalize_or(DVec3::NEG_Z);
+        let distance = target_distance(scene, camera.eye, forward);
+        let aimed = Camera { target: camera.eye + forward * distance, ..*camera };
+        if aimed.view(1, 1).is_ok() {
+            *camera = aimed;
+        }
+    }
+}
+
+/// Middle of the depths of the box that lie before the eye. Half the box's diagonal where next to nothing does, and 1 for a point.
+fn target_distance(scene: &Bounds, eye: DVec3, forward: DVec3) -> f64 {
+    /// Share of the diagonal that must lie before the eye.
+    const LEAST_SEEN: f64 = 0.1;
+    let extent = scene.extent();
+    let diagonal = extent.length();
+    let middle = (scene.centre() - eye).dot(forward);
+    let half = 0.5 * extent.dot(forward.abs());
+    let (near, far) = ((middle - half).max(0.0), middle + half);
+    let distance = if far > LEAST_SEEN * diagonal { 0.5 * (near + far) } else { 0.5 * diagonal };
+    if distance.is_finite() && distance > 0.0 { distance } else { 1.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn targets_lie_in_the_middle_of_what_is_seen() {
+        let scene = Bounds { min: DVec3::splat(-100.0), max: DVec3::splat(100.0) };
+        let diagonal = 200.0 * 3f64.sqrt();
+        for (eye, forward, expected) in [
+            // From outside the middle of the scene, from within that of what lies ahead.
+            (DVec3::Z * 900.0, DVec3::NEG_Z, 900.0),
+            (DVec3::Z * 50.0, DVec3::NEG_Z, 75.0),
+            (DVec3::ZERO, DVec3::X, 50.0),
+            // The scene lies behind.
+            (DVec3::Z * 900.0, DVec3::Z, 0.5 * diagonal),
+        ] {
+            let lens = Lens::Orthographic { height: 6.0 };
+            let camera = Camera { eye, target: eye + forward, up: DVec3::Y, lens };
+            let mut cameras = [("a".to_owned(), camera)];
+            aim(&mut cameras, &scene);
+            let aimed = cameras[0].1;
+            assert!((aimed.target - eye - forward * expected).length() < 1e-9, "{aimed:?}");
+            assert_eq!((aimed.eye, aimed.up, aimed.lens), (eye, DVec3::Y, lens));
+        }
+        let point = Bounds { min: DVec3::ONE, max: DVec3::ONE };
+        assert_eq!(target_distance(&point, DVec3::ONE, DVec3::X), 1.0);
+        assert_eq!(target_distance(&Bounds::EMPTY, DVec3::ONE, DVec3::X), 1.0);
     }
 }

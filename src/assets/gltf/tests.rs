@@ -493,6 +493,42 @@ fn specular_glossiness_is_understood() {
     assert_eq!(mesh(&asset, 0).uvs.as_ref().unwrap()[0], Vec2::splat(0.5));
 }
 
+/// The thickness of a volume is in the units of the mesh, the attenuation distance in those of the scene.
+#[test]
+fn volumes_are_as_thick_as_nodes_scale_them() {
+    let mut document = square();
+    document.json["meshes"][0]["primitives"][0]["material"] = json!(0);
+    document.json["materials"] = json!([{ "extensions": {
+        "KHR_materials_transmission": { "transmissionFactor": 1 },
+        "KHR_materials_volume": { "thicknessFactor": 2000, "attenuationDistance": 1, "attenuationColor": [0.25, 1, 0] } } }]);
+    document.json["nodes"] = json!([
+        { "mesh": 0, "scale": [0.00025, 0.00025, 0.00025] },
+        { "mesh": 0, "scale": [0.0005, 0.0005, 0.0005] },
+        { "mesh": 0, "scale": [0.00025, 0.00025, 0.00025], "rotation": [0, 0.6, 0, 0.8] }
+    ]);
+    let mut left = |distance: f64| -> Vec<[f32; 3]> {
+        let own = &mut document.json["materials"][0]["extensions"]["KHR_materials_volume"];
+        own["attenuationDistance"] = json!(distance);
+        let asset = document.read().unwrap();
+        let placements = asset.placements.iter();
+        placements
+            .map(|placement| {
+                let part = mesh(&asset, placement.geometry).parts[0];
+                asset.materials[part.material.unwrap() as usize].physical.unwrap().volume
+            })
+            .collect()
+    };
+    let found = left(1.0);
+    for (found, expected) in found.iter().zip([[0.5, 1.0, 0.0], [0.25, 1.0, 0.0], [0.5, 1.0, 0.0]])
+    {
+        assert!((0..3).all(|i| (found[i] - expected[i]).abs() < 1e-3_f32), "{found:?}");
+    }
+    // Rounding of a rotation makes no other scale.
+    assert_eq!(found[0], found[2]);
+    // The standard excludes it.
+    assert_eq!(left(0.0), [[1.0; 3]; 3]);
+}
+
 #[test]
 fn webp_and_broken_textures() {
     let mut document = textured();
@@ -543,13 +579,14 @@ fn cameras_and_lights() {
           "orthographic": { "xmag": 1, "ymag": 1, "zfar": 2, "znear": 1 } }
     ]);
     let half = std::f32::consts::FRAC_1_SQRT_2;
-    document.node(json!({ "camera": 0, "translation": [0, 0, 9], "rotation": [0, half, 0, half] }));
+    document.node(json!({ "camera": 0, "translation": [9, 0, 0], "rotation": [0, half, 0, half] }));
     document.node(json!({ "camera": 1 }));
     document.node(json!({ "extensions": { "KHR_lights_punctual": { "light": 0 } } }));
     let asset = document.read().unwrap();
     let [(name, camera), (_, flat)] = &asset.cameras[..] else { panic!("{:?}", asset.cameras) };
     assert_eq!(name, "front");
-    assert!(close(camera.eye, [0.0, 0.0, 9.0]) && close(camera.target, [-1.0, 0.0, 9.0]));
+    // It looks at the middle of the square, whose x are 0 to 1.
+    assert!(close(camera.eye, [9.0, 0.0, 0.0]) && close(camera.target, [0.5, 0.0, 0.0]));
     assert!((camera.lens.fov_deg().unwrap() - 57.29578).abs() < 1e-4);
     assert_eq!(flat.lens.ortho_height(), Some(2.0), "twice ymag");
     assert_eq!(asset.warnings.len(), 1);

@@ -277,6 +277,8 @@ fn counters_match_word_by_word() {
                     ("pixels_of_segments", std::mem::offset_of!(GpuStats, pixels_of_segments)),
                     ("splats_wanted", std::mem::offset_of!(GpuStats, splats_wanted)),
                     ("paint_cut", std::mem::offset_of!(GpuStats, paint_cut)),
+                    ("pixels_of_all_layers", std::mem::offset_of!(GpuStats, pixels_of_all_layers)),
+                    ("passing_most", std::mem::offset_of!(GpuStats, passing_most)),
                 ] {
                     assert_eq!(offset(member), place);
                 }
