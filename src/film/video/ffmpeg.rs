@@ -1,7 +1,7 @@
 //! Runs `ffmpeg` as a process: raw frames go to its standard input, and its messages come from its standard error.
 //!
-//! A process that hangs holds up nobody who asks for a stop: threads of their own write and read its pipes, and everything that waits
-//! for it looks at the stop from time to time.
+//! A process that hangs holds up nobody who asks for a stop. Threads of their own write and read its pipes, and everything that
+//! waits for it looks at the stop from time to time.
 
 use std::ffi::OsStr;
 use std::io::{self, Read, Write};
