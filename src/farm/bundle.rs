@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 use std::fs::File;
 use std::path::{Component, Path, PathBuf};
+use std::sync::Arc;
 use std::time::SystemTime;
 
 use glam::DVec3;
@@ -39,7 +40,16 @@ type Known = (u64, Option<SystemTime>, String);
 pub struct Hashes(Mutex<HashMap<PathBuf, Known>>);
 
 impl Hashes {
-    /// Returns the length and the hash of a file.
+    /// Returns the length and the hash of a file. A large file takes a while, in which other tasks go on.
+    async fn find(self: Arc<Hashes>, file: PathBuf) -> Result<(u64, String), BundleError> {
+        let name = file.clone();
+        let hashed = tokio::task::spawn_blocking(move || self.of(&file)).await;
+        hashed
+            .unwrap_or_else(|error| Err(std::io::Error::other(error)))
+            .map_err(|error| BundleError::Io { file: name, error })
+    }
+
+    /// Returns the length and the hash of a file. Blocks.
     fn of(&self, file: &Path) -> std::io::Result<(u64, String)> {
         let found = std::fs::metadata(file)?;
         let state = (found.len(), found.modified().ok());
@@ -65,7 +75,7 @@ impl Hashes {
 pub async fn pack(
     root: &Path,
     files: &SceneFiles,
-    hashes: &Hashes,
+    hashes: &Arc<Hashes>,
     store: &Store,
 ) -> Result<Bundle, BundleError> {
     let relative = |path: &Path| {
@@ -74,9 +84,7 @@ pub async fn pack(
     };
     let mut bundled = Vec::with_capacity(files.files.len());
     for file in &files.files {
-        let hashed = hashes.of(file);
-        let (bytes, sha256) =
-            hashed.map_err(|error| BundleError::Io { file: file.clone(), error })?;
+        let (bytes, sha256) = hashes.clone().find(file.clone()).await?;
         store.put_asset(&sha256, file).await?;
         bundled.push(BundledFile { path: relative(file)?, bytes, sha256 });
     }
@@ -137,7 +145,7 @@ mod tests {
             up: Some(DVec3::Z),
             files: paths.to_vec(),
         };
-        let hashes = Hashes::default();
+        let hashes = Arc::<Hashes>::default();
         let bundle = pack(&root, &files, &hashes, &store).await.unwrap();
         assert_eq!((bundle.main.as_str(), bundle.base.as_deref()), ("sub/s.json", Some("")));
         let there = here.path().join("there");
@@ -151,6 +159,29 @@ mod tests {
         assert_ne!(changed.files[1].sha256, bundle.files[1].sha256);
         let outer = SceneFiles { path: here.path().join("x"), ..files };
         assert!(matches!(pack(&root, &outer, &hashes, &store).await, Err(BundleError::Foreign(_))));
+    }
+
+    /// A pipe that nobody writes to is a file that takes long to read.
+    #[cfg(unix)]
+    #[tokio::test]
+    async fn a_slow_file_holds_up_no_other_task() {
+        let here = tempfile::tempdir().unwrap();
+        let slow = here.path().join("slow.ply");
+        let made = std::process::Command::new("mkfifo").arg(&slow).status().unwrap();
+        assert!(made.success());
+        let store = Store::create(here.path().join("store").to_str().unwrap()).unwrap();
+        let files =
+            SceneFiles { path: slow.clone(), base: None, up: None, files: vec![slow.clone()] };
+        let hashes = Arc::<Hashes>::default();
+        // A writer ends the read, which the runtime would otherwise wait for.
+        let writer = std::thread::spawn(move || {
+            std::thread::sleep(std::time::Duration::from_secs(2));
+            std::fs::File::options().write(true).open(&slow).unwrap();
+        });
+        let packed = pack(here.path(), &files, &hashes, &store);
+        let waited = tokio::time::timeout(std::time::Duration::from_millis(50), packed).await;
+        assert!(waited.is_err(), "another task had its turn meanwhile");
+        writer.join().unwrap();
     }
 
     #[test]

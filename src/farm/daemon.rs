@@ -64,7 +64,7 @@ struct Shared {
     set_aside: AtomicU64,
     /// Films that share the workers now.
     films: AtomicU64,
-    hashes: Hashes,
+    hashes: Arc<Hashes>,
 }
 
 /// Reason for the end of a film.
@@ -95,7 +95,7 @@ impl Farm {
         let roster = Mutex::new(Roster::default());
         let (queued, set_aside) = (Mutex::default(), AtomicU64::new(0));
         let films = AtomicU64::new(0);
-        let hashes = Hashes::default();
+        let hashes = Arc::<Hashes>::default();
         let runtime = runtime.clone();
         let shared = Shared {
             broker,

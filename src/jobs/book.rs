@@ -418,24 +418,24 @@ impl Book {
     ) -> bool {
         self.at_work.remove(&id);
         let Some(job) = self.jobs.get_mut(&id) else { return false };
-        job.made = made;
-        job.drawn += drawn;
-        // A client has cancelled the job, and perhaps resumed it since; that decision stands.
-        if job.state != State::Running {
-            return true;
+        if let Some(phase) = end_run(job, outcome, made, drawn, now_ms) {
+            self.due.insert(id, phase);
         }
-        job.state = match outcome {
-            Outcome::Next(phase) => {
-                self.due.insert(id, phase);
-                return true;
-            }
-            Outcome::Done => State::Done,
-            Outcome::Failed(failure) => State::Failed(failure),
-            Outcome::Paused => State::Queued { waits_for: None },
-            Outcome::Waits(what) => State::Queued { waits_for: Some(what) },
-        };
-        job.since_ms = now_ms;
         true
+    }
+
+    /// Returns a job's record as [`Book::left`] would leave it.
+    pub fn after_run(
+        &self,
+        id: JobId,
+        outcome: Outcome,
+        made: Made,
+        drawn: u64,
+        now_ms: u64,
+    ) -> Result<Record, Refusal> {
+        let mut job = self.get(id)?.clone();
+        end_run(&mut job, outcome, made, drawn, now_ms);
+        Ok(job)
     }
 
     /// Cancels a job that has not ended. The caller must stop a runner that holds it.
@@ -517,6 +517,31 @@ impl Book {
         expired.forgotten = forgotten.into_iter().filter_map(|id| self.remove(id).ok()).collect();
         expired
     }
+}
+
+/// Changes the record of a job whose run has ended. Returns the phase in which the job goes on, if it does.
+fn end_run(
+    job: &mut Record,
+    outcome: Outcome,
+    made: Made,
+    drawn: u64,
+    now_ms: u64,
+) -> Option<Phase> {
+    job.made = made;
+    job.drawn += drawn;
+    // A client has cancelled the job, and perhaps resumed it since; that decision stands.
+    if job.state != State::Running {
+        return None;
+    }
+    job.state = match outcome {
+        Outcome::Next(phase) => return Some(phase),
+        Outcome::Done => State::Done,
+        Outcome::Failed(failure) => State::Failed(failure),
+        Outcome::Paused => State::Queued { waits_for: None },
+        Outcome::Waits(what) => State::Queued { waits_for: Some(what) },
+    };
+    job.since_ms = now_ms;
+    None
 }
 
 #[cfg(test)]

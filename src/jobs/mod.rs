@@ -16,7 +16,8 @@
 //! and draws the others. Progress is not stored, because the manifest shows it.
 //!
 //! The book's lock is never held during disk access. To change a job, a thread changes the book first and then has the record
-//! written in the book's current state. Meanwhile it holds the job, so that no runner begins what is not durable yet.
+//! written in the book's current state. Meanwhile it holds the job, so that no runner begins what is not durable yet. The end of a
+//! run is written first and shown afterwards, because a client may act on it at once.
 //!
 //! Frames go to the engine as [`Client::Job`](crate::engine::Client), after all interactive frames.
 

@@ -23,7 +23,7 @@ use super::hold::hold;
 use super::live::{Live, Stage, Stop};
 use super::remote::Order;
 use super::spec::{FrameSpec, PathChoice, Spec};
-use super::state::JobsState;
+use super::state::{End, JobsState, end_run};
 use super::store::Place;
 use crate::engine::{Client, Engine, EngineError, FrameRequest, Origin, RequestId};
 use crate::film::shots::Shots;
@@ -62,8 +62,8 @@ pub(super) fn run(shared: &JobsState) {
             Outcome::Failed(failure(FailureKind::Internal, detail))
         });
         tracing::info!(job = id, ?phase, drawn = run.drawn, ?outcome, "job rests");
-        let (made, drawn) = (run.made, run.drawn);
-        let_go(shared, id, &live, outcome, made, drawn);
+        let end = End { outcome, made: run.made, drawn: run.drawn };
+        let_go(shared, id, &live, end);
     }
 }
 
@@ -92,20 +92,18 @@ fn next(shared: &JobsState) -> Option<(Record, Phase, Arc<Live>)> {
 }
 
 /// Records how a run ended, and releases the job.
-fn let_go(shared: &JobsState, id: JobId, live: &Live, outcome: Outcome, made: Made, drawn: u64) {
+fn let_go(shared: &JobsState, id: JobId, live: &Live, end: End) {
     // Begin a new turn before watchers read the manifest again.
     shared.manifests.turn(id, live);
     *live.drawing.write() = None;
     shared.recount(id, live);
-    let is_known = {
-        let mut book = shared.book.lock();
+    let show = || {
         live.progress.lock().stage = Stage::None;
-        let is_known = book.left(id, outcome, made, drawn, shared.now_ms());
-        // Notify under the lock, so that nobody sees the new state with the old version.
+        // Notify under the book's lock, so that nobody sees the new state with the old version.
         live.changed();
-        is_known
     };
-    if is_known && shared.keep(id).is_ok() && shared.drop_unwanted(id) {
+    let is_stored = end_run(&shared.store, &shared.book, id, end, || shared.now_ms(), show);
+    if is_stored && shared.drop_unwanted(id) {
         shared.recount(id, live);
         live.changed();
     }

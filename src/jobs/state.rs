@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use parking_lot::{Condvar, Mutex, RwLock};
 
-use super::book::{Book, JobId, Record, Refusal, State};
+use super::book::{Book, JobId, Made, Outcome, Record, Refusal, State};
 use super::clock::Clock;
 use super::live::{Frames, Live, Stage, Stop};
 use super::manifests::Manifests;
@@ -163,5 +163,118 @@ impl JobsState {
     /// Returns the frames of a job that is not being drawn, from its manifest.
     pub fn frames(&self, id: JobId, live: &Live) -> Result<Arc<Frames>, JobError> {
         self.manifests.frames(id, live, &self.store.place(id))
+    }
+}
+
+/// How a run of a job ended, and what it made.
+pub struct End {
+    pub outcome: Outcome,
+    pub made: Made,
+    pub drawn: u64,
+}
+
+/// Stores how a run ended, and then shows it in the book: a job that a client saw done is not queued again after a kill. A record
+/// that cannot be stored is owed, and the end is shown nevertheless. `now_ms` and `show` are called under the book's lock. Returns
+/// whether the record of a known job is stored.
+pub fn end_run(
+    store: &Store,
+    book: &Mutex<Book>,
+    id: JobId,
+    end: End,
+    now_ms: impl Fn() -> u64,
+    show: impl FnOnce(),
+) -> bool {
+    let End { outcome, made, drawn } = end;
+    let mut planned = None;
+    let mut is_stored = false;
+    let is_known = book.lock().get(id).is_ok();
+    if is_known {
+        let kept = store.keep(id, || {
+            let book = book.lock();
+            let (before, at_ms) = (book.get(id).ok()?.clone(), now_ms());
+            let after = book.after_run(id, outcome.clone(), made.clone(), drawn, at_ms).ok()?;
+            planned = Some((before, after.clone(), at_ms));
+            Some(after)
+        });
+        is_stored = kept.is_ok();
+    }
+    {
+        let mut book = book.lock();
+        let at_ms = match &planned {
+            Some((before, _, at_ms)) if book.get(id).is_ok_and(|job| job == before) => *at_ms,
+            _ => now_ms(),
+        };
+        let is_known = book.left(id, outcome, made, drawn, at_ms);
+        show();
+        if !is_known {
+            return false;
+        }
+        let is_shown = |after: &Record| book.get(id).is_ok_and(|job| job == after);
+        if planned.as_ref().is_some_and(|(_, after, _)| is_shown(after)) {
+            return is_stored;
+        }
+    }
+    // The job was changed while its record was written, by a client for example.
+    store.keep(id, || book.lock().get(id).ok().cloned()).is_ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::jobs::book::{Admitted, Limits, Need, Origin, Slots};
+    use crate::jobs::spec::tests::spec;
+
+    /// Returns the records that a server finds which starts after a kill at this moment.
+    fn after_a_kill(folder: &Path) -> Vec<Record> {
+        let copy = tempfile::tempdir().unwrap();
+        std::fs::copy(folder.join("jobs.redb"), copy.path().join("jobs.redb")).unwrap();
+        Store::open(copy.path(), 100).unwrap().records
+    }
+
+    /// A book with one running job, whose record is stored.
+    fn running(store: &Store) -> (Mutex<Book>, JobId) {
+        let slots = Slots { baking: 1, drawing: 1, coding: 1 };
+        let limits = Limits { most_unfinished: 9, most: 9, ttl_ms: 1000, slots };
+        let mut book = Book::new(limits, [], 0);
+        let admitted = book.admit(spec("s"), Origin::default(), None, 1);
+        let Ok(Admitted::New(id)) = admitted else { panic!("{admitted:?}") };
+        assert!(book.next(2, |_| Need::Nothing).is_some());
+        let record = book.get(id).unwrap().clone();
+        store.keep(id, || Some(record)).unwrap();
+        (Mutex::new(book), id)
+    }
+
+    #[test]
+    fn a_job_that_was_seen_done_is_done_after_a_kill() {
+        let at = tempfile::tempdir().unwrap();
+        let store = Store::open(at.path(), 100).unwrap().store;
+        let (book, id) = running(&store);
+        let made = Made { done: 3, ..Made::default() };
+        let end = End { outcome: Outcome::Done, made, drawn: 3 };
+        let mut found = Vec::new();
+        assert!(end_run(&store, &book, id, end, || 50, || found = after_a_kill(at.path())));
+        let shown = book.lock().get(id).unwrap().clone();
+        assert_eq!((&shown.state, shown.since_ms, shown.drawn), (&State::Done, 50, 3));
+        assert_eq!(found, [shown]);
+    }
+
+    #[test]
+    fn a_cancelled_job_stays_cancelled_when_its_run_ends() {
+        let at = tempfile::tempdir().unwrap();
+        let store = Store::open(at.path(), 100).unwrap().store;
+        let (book, id) = running(&store);
+        book.lock().cancel(id, 7).unwrap();
+        let made = Made { done: 2, ..Made::default() };
+        let end = End { outcome: Outcome::Paused, made: made.clone(), drawn: 2 };
+        assert!(end_run(&store, &book, id, end, || 50, || ()));
+        let found = after_a_kill(at.path());
+        assert_eq!((&found[0].state, found[0].since_ms), (&State::Cancelled, 7));
+        assert_eq!(found[0].made, made);
+        // A removed job is stored no more.
+        book.lock().remove(id).unwrap();
+        let end = End { outcome: Outcome::Done, made, drawn: 0 };
+        assert!(!end_run(&store, &book, id, end, || 60, || ()));
     }
 }

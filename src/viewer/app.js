@@ -508,7 +508,7 @@ loadScenes();
 
 // For the console and for tests.
 globalThis.viewer = {
-  canvas, paper, link, recorder, controls, sampler, accuracy,
+  canvas, paper, link, recorder, controls, sampler, accuracy, jobs,
   get scene() { return scene; }, get pose() { return pose; },
   get isStill() { return canvas.dataset.state === 'still' && !link.isDue; },
 };

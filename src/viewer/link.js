@@ -139,7 +139,8 @@ export class Link {
       try {
         picture = await createImageBitmap(image);
       } catch {
-        this.on.problem({ title: 'A frame cannot be decoded', detail: `${header.content_type}, ${header.bytes} bytes` });
+        // A connection that was left, for another scene for example, has nothing to say.
+        if (socket === this.socket) this.on.problem({ title: 'A frame cannot be decoded', detail: `${header.content_type}, ${header.bytes} bytes` });
       }
       if (socket !== this.socket) { if (picture) picture.close(); continue; }
       if (picture) {

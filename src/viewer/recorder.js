@@ -144,7 +144,11 @@ export class Recorder {
     const now = durationOf(this.path), start = startOf(this.path);
     const wanted = numberIn($('duration'), SECONDS, ' s', `the path keeps ${rounded(now)} s`);
     if (!wanted) return;
-    this.change(path => { for (const key of path.keys) key.t = rounded(start + (key.t - start) * wanted / now); });
+    const times = this.path.keys.map(key => rounded(start + (key.t - start) * wanted / now));
+    // Times are in milliseconds, and no two keys have one time.
+    const meets = times.findIndex((t, i) => t === times[i + 1]) + 1;
+    if (meets) return fault($('duration'), `keys ${meets} and ${meets + 1} would be at one time; the path keeps ${rounded(now)} s`);
+    this.change(path => path.keys.forEach((key, i) => { key.t = times[i]; }));
   }
 
   changeRate() {

@@ -38,6 +38,7 @@ export async function showVideo(element, url) {
     // A video element cannot send a key either.
     const src = hasKey() ? URL.createObjectURL(await (await reach(url)).blob()) : url;
     if (element.dataset.of === url) element.src = src;
+    else URL.revokeObjectURL(src);
   } catch (problem) {
     complain(problem, 'film');
   }
@@ -54,7 +55,8 @@ function save(blob, name) {
 export class Reel {
   constructor() {
     this.job = null;
-    this.isPlaying = this.isPacking = false;
+    this.isPlaying = false;
+    this.packing = null; // the archive that is being made
     this.asked = 0;
     $('reel-close').addEventListener('click', () => this.close());
     $('reel-play').addEventListener('click', () => { if (this.isPlaying) this.stop(); else this.play(); });
@@ -90,7 +92,7 @@ export class Reel {
 
   close() {
     this.stop();
-    this.isPacking = false;
+    this.packing = null;
     this.job = null;
     $('reel').hidden = true;
     this.free();
@@ -112,6 +114,7 @@ export class Reel {
       shown.src = src;
       await shown.decode();
     } catch (problem) {
+      URL.revokeObjectURL(src);
       if (ticket === this.asked) this.say(`Frame ${number} cannot be shown: ${problem.detail || 'it is not there'}.`, true);
       return false;
     }
@@ -159,22 +162,23 @@ export class Reel {
   async pack() {
     const { job, first, last } = this, total = last - first + 1, say = text => { if (this.job === job) this.say(text); };
     if (job.bytes > MOST_BYTES * 0.99 || total > MOST_FILES) return say(`${count(total)} frames are more than an archive made here holds; ${job.links.multipart} sends them all.`);
-    if (this.isPacking) return;
-    this.isPacking = true;
-    const zip = new Zip();
+    if (this.packing) return;
+    // A film that is closed meanwhile ends its archive, even if another one is begun.
+    const zip = this.packing = new Zip();
     try {
-      for (let number = first; number <= last && this.isPacking; number++) {
+      for (let number = first; number <= last && this.packing === zip; number++) {
         say(`${count(number - first)} of ${count(total)} frames fetched …`);
         await zip.add(`${numbered(number)}.${this.extension}`, await (await reach(jobUrl(job.id, `/frames/${number}`))).blob());
       }
-      if (!this.isPacking) return;
+      if (this.packing !== zip) return;
       save(zip.finish(), `${job.scene}-${job.id}-frames.zip`);
       say(`${count(total)} frames saved as one archive.`);
     } catch (problem) {
+      if (this.packing !== zip) return;
       say('');
       complain(problem, 'film');
     } finally {
-      if (this.job === job) this.isPacking = false;
+      if (this.packing === zip) this.packing = null;
     }
   }
 }

@@ -1,7 +1,7 @@
 // Uploads files by drop or by button: sends one scene after the other with progress, then waits while the server loads it. Failed
 // uploads are kept, to be sent again.
 
-import { getJson, headers, NO_ANSWER, problemFrom, sceneUrl } from './api.js';
+import { getJson, headers, isPassing, NO_ANSWER, problemFrom, sceneUrl } from './api.js';
 import { faultOfGroup, filesOf, sorted, unreadable } from './files.js';
 import { MODELS } from './formats.js';
 import { $, bytes, complain, quiet } from './message.js';
@@ -151,16 +151,17 @@ async function loaded(id, names) {
   let isCancelled = false;
   cancel = () => { isCancelled = true; };
   while (!isCancelled) {
+    let scene = null;
     try {
-      const scene = await getJson(sceneUrl(id));
-      if (scene.state === 'failed') throw scene.problem;
-      if (scene.state === 'ready') return id;
-      say(`${names}: received, being loaded for ${Math.round(scene.loading_ms / 1000)} s …`, null);
+      scene = await getJson(sceneUrl(id));
     } catch (problem) {
-      // A restarted server loads what its predecessor received.
-      if (problem.status !== 0) throw problem;
+      // A restarted server loads what its predecessor received. A proxy before it answers meanwhile.
+      if (!isPassing(problem)) throw problem;
       say(`${names}: received; the server does not answer just now …`, null);
     }
+    if (scene?.state === 'failed') throw scene.problem;
+    if (scene?.state === 'ready') return id;
+    if (scene) say(`${names}: received, being loaded for ${Math.round(scene.loading_ms / 1000)} s …`, null);
     await new Promise(resolve => setTimeout(resolve, POLL_MS));
   }
   return null;

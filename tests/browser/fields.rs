@@ -62,6 +62,13 @@ fn fields_say_what_they_take() {
     assert_eq!(fault(&browser, "duration"), "0.1 to 8,000 s; the path keeps 3 s");
     browser.choose("#duration", "1");
     assert_eq!((fault(&browser, "duration"), times()), (String::new(), json!([0, 1])));
+    // A path that is too short for its keys.
+    browser.choose(second, "0.001");
+    browser.click("#key-add");
+    assert_eq!(times(), json!([0, 0.001, 2.001]));
+    browser.choose("#duration", "0.5");
+    let why = "keys 1 and 2 would be at one time; the path keeps 2.001 s";
+    assert_eq!((fault(&browser, "duration").as_str(), times()), (why, json!([0, 0.001, 2.001])));
     assert_eq!(browser.console_errors(), Vec::<String>::new());
 }
 

@@ -107,6 +107,14 @@ fn frames_are_looked_at_played_and_downloaded() {
     let expected: Vec<String> = (0..11).map(|number| format!("{number:06}.png")).collect();
     assert_eq!(names, expected);
     assert_eq!(entries[10].1, last, "what is in it are the daemon's frames");
+    // A film that is closed ends its archive, even if another one is begun at once.
+    browser.script(
+        "window.archives = 0; HTMLAnchorElement.prototype.click = function() { if (this.download.endsWith('.zip')) archives++; }; \
+         const { reel } = viewer.jobs, { job } = reel; window.packs = [reel.pack()]; reel.close(); reel.job = job; \
+         packs.push(reel.pack()); document.getElementById('reel').hidden = false",
+    );
+    let archives = "return Promise.all(packs).then(() => archives)";
+    assert_eq!(browser.script(archives), 1, "archives saved");
     let list = browser.text("return document.getElementById('reel-list').href");
     assert!(list.starts_with(&daemon.url) && list.ends_with("/frames"), "{list}");
     browser.script("for (const d of document.querySelectorAll('details')) d.open = true");

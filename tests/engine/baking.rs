@@ -102,6 +102,7 @@ fn who_waits_for_the_same_bake_waits_together_and_nobody_bakes_for_nobody() {
     assert!(stopped.is_none(), "{stopped:?}");
     drop(first);
     assert_eq!(engine.bakes_running(), 1, "the other one waits still");
+    assert_eq!(engine.bake_waiters(), 1, "who has left is not counted");
     assert!(engine.must_bake(&request));
     drop(second);
     eventually("the end of the bake", || engine.bakes_running() == 0);

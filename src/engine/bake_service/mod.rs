@@ -127,6 +127,8 @@ impl BakeService {
         let (id, done) = match state.roster.join(goal.key(&scene)) {
             Joined::Shared(id) => {
                 let done = state.bakes.get_mut(&id).map(|bake| {
+                    // A long bake keeps nothing of those who have left.
+                    bake.waiting.retain(|waiting| !waiting.is_closed());
                     bake.waiting.push(sender);
                     bake.work.done.clone()
                 });
@@ -219,7 +221,9 @@ impl BakeService {
 
     /// Returns the number of tickets of bakes that have not ended.
     pub fn waiters(&self) -> usize {
-        self.state.lock().bakes.values().map(|bake| bake.waiting.len()).sum()
+        let state = self.state.lock();
+        let waiting = state.bakes.values().flat_map(|bake| &bake.waiting);
+        waiting.filter(|sender| !sender.is_closed()).count()
     }
 
     /// Returns the number of running bakes, including those that are stopping.

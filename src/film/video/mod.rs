@@ -224,10 +224,10 @@ pub fn encode<'a>(
     let part = part_of(out);
     // An unfinished file is removed on return. After a kill the next run overwrites it.
     let _unfinished = Unfinished(&part);
-    let mut sink: Box<dyn Sink> = match coder {
+    let mut sink: Box<dyn Sink + '_> = match coder {
         #[cfg(feature = "video")]
         Coder::BuiltIn => Box::new(h264::Writer::new(reel, &part)?),
-        Coder::Ffmpeg(program) => Box::new(ffmpeg::Process::start(program, reel, &part)?),
+        Coder::Ffmpeg(program) => Box::new(ffmpeg::Process::start(program, reel, &part, stop)?),
     };
     let mut coded = 0;
     for record in records {

@@ -301,6 +301,41 @@ fn the_process_is_fed_every_pixel_and_its_complaints_are_told() {
     assert!(matches!(refused, Err(VideoError::Io { .. })));
 }
 
+/// Programs that read nothing, or read everything and never end.
+#[cfg(unix)]
+#[test]
+fn a_process_that_hangs_is_killed_by_a_stop() {
+    use std::time::{Duration, Instant};
+
+    // More pixels than a pipe holds.
+    let (at, records) = folder(12, ImageFormat::Png);
+    let out = at.path().join("film.mp4");
+    let id = at.path().join("id");
+    for script in ["exec sleep 600", "cat > /dev/null; exec sleep 600"] {
+        let script = format!("echo $$ > {}; {script}", id.display());
+        let coder = Coder::Ffmpeg(program(at.path(), &script));
+        let (stop, began) = (go_on(), Instant::now());
+        let runs = || fs::read_to_string(&id).is_ok_and(|id| id.ends_with('\n'));
+        let stopped = std::thread::scope(|scope| {
+            scope.spawn(|| {
+                while !runs() && began.elapsed() < Duration::from_secs(30) {
+                    std::thread::sleep(Duration::from_millis(5));
+                }
+                std::thread::sleep(Duration::from_millis(200));
+                stop.store(true, Ordering::Relaxed);
+            });
+            encode(&coder, &reel(12), at.path(), &records, &out, &stop, |_| ())
+        });
+        assert!(matches!(stopped, Err(VideoError::Stopped)), "{stopped:?}");
+        assert!(began.elapsed() < Duration::from_secs(60), "{:?}", began.elapsed());
+        assert!(!part_of(&out).exists() && !out.exists());
+        let number = fs::read_to_string(&id).unwrap();
+        let is_there = Path::new("/proc").join(number.trim()).exists();
+        assert!(!is_there, "process {number} still runs");
+        fs::remove_file(&id).unwrap();
+    }
+}
+
 /// The real program, if it is installed.
 #[test]
 fn ffmpeg_makes_what_was_asked_for() {
