@@ -12,6 +12,7 @@ mod blocks;
 mod dispatch;
 pub mod e57;
 mod environment;
+mod face_colors;
 mod fault;
 pub mod fields;
 pub mod gltf;
