@@ -9,10 +9,10 @@
 
 mod base64;
 mod blocks;
+mod corners;
 mod dispatch;
 pub mod e57;
 mod environment;
-mod face_colors;
 mod fault;
 pub mod fields;
 pub mod gltf;

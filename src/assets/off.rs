@@ -14,7 +14,7 @@ use super::input::{Input, Origin};
 use super::polygon::Triangulator;
 use super::tokens::{Lines, Tokens, number, shown};
 use super::warnings::counted;
-use super::{Asset, AssetError, Geometry, Mesh, PointCloud, ReadOptions, face_colors, tidy};
+use super::{Asset, AssetError, Geometry, Mesh, PointCloud, ReadOptions, corners, tidy};
 
 /// A vertex takes no less: three digits, two blanks, a line end.
 const VERTEX_BYTES: u64 = 6;
@@ -63,7 +63,7 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
             Some(_) if mesh.colors.is_some() => {
                 warnings.push("colours of faces are ignored: vertices have colours".to_owned());
             }
-            Some(colors) => face_colors::paint(&mut mesh, &colors, file, options)?,
+            Some(colors) => corners::paint(&mut mesh, &colors, file, options)?,
         }
         Geometry::Mesh(tidy::finish_mesh(mesh, file, &mut warnings)?)
     };

@@ -14,7 +14,7 @@ use glam::DVec3;
 use super::input::{Input, Origin};
 use super::polygon::Triangulator;
 use super::tokens::{BYTE_ORDER_MARK, Lines, Tokens, number, shown};
-use super::{Asset, AssetError, Geometry, Mesh, ReadOptions, face_colors, tidy};
+use super::{Asset, AssetError, Geometry, Mesh, ReadOptions, corners, tidy};
 
 const HEADER_BYTES: u64 = 84;
 const TRIANGLE_BYTES: u64 = 50;
@@ -47,7 +47,7 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
     let mut mesh =
         Mesh { positions: welded.positions, triangles: welded.triangles, ..Mesh::default() };
     if let Some(colors) = colors {
-        face_colors::paint(&mut mesh, &colors, &origin.name, options)?;
+        corners::paint(&mut mesh, &colors, &origin.name, options)?;
     }
     let mesh = tidy::finish_mesh(mesh, &origin.name, &mut warnings)?;
     let mut asset = Asset::single("stl", &origin.name, Geometry::Mesh(mesh));
