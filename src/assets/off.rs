@@ -38,6 +38,7 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
     let Input { reader, origin } = input;
     let file = origin.name.as_str();
     let mut lines = Lines::new(reader, file);
+    lines.end_at_carriage_returns_if_alone()?;
     let header = header(&mut lines, &origin, options)?;
     let mut warnings = Vec::new();
     let vertices = vertices(&mut lines, &header, &origin)?;
@@ -395,7 +396,8 @@ mod tests {
 
     #[test]
     fn comments_polygons_and_counts_on_one_line() {
-        for text in [PLAIN.to_owned(), PLAIN.replacen(" # a square\n\n", " ", 1)] {
+        let joined = PLAIN.replacen(" # a square\n\n", " ", 1);
+        for text in [PLAIN.to_owned(), joined, PLAIN.replace('\n', "\r")] {
             let asset = read(&text).unwrap();
             assert_eq!(mesh(&asset).positions.len(), 4);
             assert_eq!(mesh(&asset).triangles.len(), 2);

@@ -212,6 +212,7 @@ fn ascii(
 ) -> Result<Welded, AssetError> {
     let file = origin.name.as_str();
     let mut lines = Lines::new(reader, file);
+    lines.end_at_carriage_returns_if_alone()?;
     let mut welded = Welded::default();
     let mut meter = origin.admission.meter(file);
     let mut triangulator = Triangulator::default();
@@ -396,6 +397,7 @@ mod tests {
         assert_eq!(mesh(&read(one_line).unwrap()).triangles.len(), 2);
         let marked = format!("\u{feff}{ASCII}");
         assert_eq!(mesh(&read(marked).unwrap()).triangles.len(), 2, "after a byte order mark");
+        assert_eq!(mesh(&read(ASCII.replace('\n', "\r")).unwrap()).triangles.len(), 2);
         let colored = ASCII.replacen(" facet", " color 1 0 0\n facet", 1);
         assert_eq!(read(colored).unwrap().warnings, ["colours of ascii STL are ignored"]);
         let open = ASCII.replace("endsolid a b\n", "");
