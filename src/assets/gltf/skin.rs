@@ -23,7 +23,7 @@ pub(super) fn place(
         let asset_from_mesh = match known.get(&skin) {
             Some(&asset_from_mesh) => asset_from_mesh,
             None => {
-                let found = asset_from_mesh(skin, root, buffers, asset_from_nodes)?;
+                let found = by_uppermost_joint(skin, root, buffers, asset_from_nodes)?;
                 let found = found.unwrap_or(DAffine3::IDENTITY);
                 known.insert(skin, found);
                 found
@@ -38,7 +38,7 @@ pub(super) fn place(
 
 /// The transform by a skin's uppermost joint. In the bind pose all joints have the same. `None` for a skin without a usable
 /// joint.
-fn asset_from_mesh(
+fn by_uppermost_joint(
     skin: usize,
     root: &Root,
     buffers: &Buffers,
