@@ -9,6 +9,7 @@
 
 mod base64;
 mod blocks;
+mod corners;
 mod dispatch;
 pub mod e57;
 mod environment;

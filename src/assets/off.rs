@@ -1,18 +1,20 @@
 //! Reader for the Object File Format of Geomview: `OFF` with the prefixes `ST`, `C` and `N`, ascii.
 //!
 //! A vertex is a line `x y z [nx ny nz] [r g b [a]] [s t]`, a face `n i₁ … iₙ [colour]`; `#` begins a
-//! comment. Colours are integers to 255 or floats to 1. A file without faces is a point cloud.
+//! comment. Colours are integers to 255 or floats to 1. Colours of faces count where vertices have none. A file without faces is a
+//! point cloud.
 
 use std::io::BufRead;
+use std::ops::Range;
 use std::path::Path;
 
 use glam::{DVec3, Vec2, Vec3};
 
 use super::input::{Input, Origin};
 use super::polygon::Triangulator;
-use super::tokens::{Lines, number, shown};
+use super::tokens::{Lines, Tokens, number, shown};
 use super::warnings::counted;
-use super::{Asset, AssetError, Geometry, Mesh, PointCloud, ReadOptions, tidy};
+use super::{Asset, AssetError, Geometry, Mesh, PointCloud, ReadOptions, corners, tidy};
 
 /// A vertex takes no less: three digits, two blanks, a line end.
 const VERTEX_BYTES: u64 = 6;
@@ -36,6 +38,7 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
     let Input { reader, origin } = input;
     let file = origin.name.as_str();
     let mut lines = Lines::new(reader, file);
+    lines.end_at_carriage_returns_if_alone()?;
     let header = header(&mut lines, &origin, options)?;
     let mut warnings = Vec::new();
     let vertices = vertices(&mut lines, &header, &origin)?;
@@ -46,9 +49,9 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
             PointCloud { positions: vertices.positions, colors, normals, ..PointCloud::default() };
         Geometry::Points(tidy::finish_cloud(cloud, file, &mut warnings)?)
     } else {
-        let triangles =
+        let Faces { triangles, paint } =
             faces(&mut lines, &header, &vertices.positions, &origin, options, &mut warnings)?;
-        let mesh = Mesh {
+        let mut mesh = Mesh {
             positions: vertices.positions,
             triangles,
             colors,
@@ -56,6 +59,13 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
             uvs: vertices.uvs,
             parts: Vec::new(),
         };
+        match paint.colors() {
+            None => {}
+            Some(_) if mesh.colors.is_some() => {
+                warnings.push("colours of faces are ignored: vertices have colours".to_owned());
+            }
+            Some(colors) => corners::paint(&mut mesh, &colors, file, options)?,
+        }
         Geometry::Mesh(tidy::finish_mesh(mesh, file, &mut warnings)?)
     };
     let mut asset = Asset::single("off", file, geometry);
@@ -228,6 +238,55 @@ fn vertices<R: BufRead>(
     Ok(vertices)
 }
 
+struct Faces {
+    triangles: Vec<[u32; 3]>,
+    paint: Paint,
+}
+
+/// Colours of faces, as the file has them.
+#[derive(Default)]
+struct Paint {
+    /// Empty, or the colour of each triangle; not-a-number where a face has none.
+    raw_colors: Vec<[f32; 4]>,
+    /// Whether any channel is written as a float.
+    are_floats: bool,
+    /// Faces whose colour is an entry of a colour map.
+    mapped: u64,
+}
+
+impl Paint {
+    /// Gives the triangles of a face the colour in the rest of its line.
+    fn face(&mut self, tokens: Tokens, triangles: Range<usize>) {
+        let mut values = [f32::NAN; 4];
+        let mut count = 0;
+        for (slot, token) in values.iter_mut().zip(tokens) {
+            let Some(value) = number(token) else { break };
+            *slot = value as f32;
+            self.are_floats |= token.contains(&b'.');
+            count += 1;
+        }
+        self.mapped += u64::from(count == 1);
+        let color = if count < 3 { [f32::NAN; 4] } else { values };
+        if count >= 3 || !self.raw_colors.is_empty() {
+            // Faces before the first one with a colour have none.
+            self.raw_colors.resize(triangles.start, [f32::NAN; 4]);
+            self.raw_colors.resize(triangles.end, color);
+        }
+    }
+
+    /// The colour of each triangle, white where its face has none; `None` where no face has one.
+    fn colors(&self) -> Option<Vec<[u8; 4]>> {
+        let mut channels = self.raw_colors.iter().flatten();
+        let count_to_255 = match self.are_floats {
+            true => self.raw_colors.iter().any(tidy::counts_to_255),
+            false => channels.any(|channel| *channel > 1.0),
+        };
+        let colors = self.raw_colors.iter();
+        let colors = colors.map(|color| tidy::color_from_floats(*color, count_to_255));
+        (!self.raw_colors.is_empty()).then(|| colors.collect())
+    }
+}
+
 fn faces<R: BufRead>(
     lines: &mut Lines<R>,
     header: &Header,
@@ -235,13 +294,14 @@ fn faces<R: BufRead>(
     origin: &Origin,
     options: &ReadOptions,
     warnings: &mut Vec<String>,
-) -> Result<Vec<[u32; 3]>, AssetError> {
+) -> Result<Faces, AssetError> {
     let file = origin.name.as_str();
     let mut meter = origin.admission.meter(file);
     meter.reach_exactly(12 * origin.reserve(header.faces) as u64)?;
     let mut triangles = Vec::with_capacity(origin.reserve(header.faces));
     let mut triangulator = Triangulator::default();
     let mut ring = Vec::new();
+    let mut paint = Paint::default();
     let mut short = 0u64;
     for index in 0..header.faces {
         if !lines.advance_to_content(b'#')? {
@@ -280,14 +340,16 @@ fn faces<R: BufRead>(
             short += 1;
             continue;
         }
+        let begin = triangles.len();
         triangulator.cut(
             &ring,
             |vertex| positions[vertex as usize],
             |cut| triangles.push(cut.map(|at| ring[at as usize])),
         );
+        paint.face(tokens, begin..triangles.len());
         let count = triangles.len() as u64;
         AssetError::check_limit(file, "triangles", count, options.max_triangles)?;
-        meter.reach(12 * count)?;
+        meter.reach(12 * count + 16 * paint.raw_colors.len() as u64)?;
     }
     for (count, one, many) in [
         (
@@ -300,10 +362,15 @@ fn faces<R: BufRead>(
             "polygon crosses itself and is drawn as a fan",
             "polygons cross themselves and are drawn as fans",
         ),
+        (
+            paint.mapped,
+            "face names an entry of a colour map, which is ignored",
+            "faces name entries of a colour map, which are ignored",
+        ),
     ] {
         warnings.extend(counted(count, one, many));
     }
-    Ok(triangles)
+    Ok(Faces { triangles, paint })
 }
 
 #[cfg(test)]
@@ -329,12 +396,35 @@ mod tests {
 
     #[test]
     fn comments_polygons_and_counts_on_one_line() {
-        for text in [PLAIN.to_owned(), PLAIN.replacen(" # a square\n\n", " ", 1)] {
+        let joined = PLAIN.replacen(" # a square\n\n", " ", 1);
+        for text in [PLAIN.to_owned(), joined, PLAIN.replace('\n', "\r")] {
             let asset = read(&text).unwrap();
             assert_eq!(mesh(&asset).positions.len(), 4);
             assert_eq!(mesh(&asset).triangles.len(), 2);
-            assert!(asset.warnings.is_empty() && mesh(&asset).colors.is_none());
+            assert!(asset.warnings.is_empty());
+            assert_eq!(mesh(&asset).colors, Some(vec![[255, 0, 0, 255]; 4]));
         }
+    }
+
+    #[test]
+    fn faces_have_colors_where_vertices_have_none() {
+        let faces = "OFF\n4 4 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n\
+            3 0 1 2\n3 0 1 3 0 0 1.0\n3 0 2 3 0 0 1 0.5 # blue\n3 1 2 3 7\n";
+        let asset = read(faces).unwrap();
+        let found = mesh(&asset);
+        let colors = found.colors.as_ref().unwrap();
+        let of = |triangle: usize| found.triangles[triangle].map(|at| colors[at as usize]);
+        assert_eq!(of(0), [[255; 4]; 3]);
+        assert_eq!(of(1), [[0, 0, 255, 255]; 3]);
+        assert_eq!(of(2), [[0, 0, 255, 128]; 3]);
+        assert_eq!(of(3), [[255; 4]; 3]);
+        assert_eq!(asset.warnings, ["1 face names an entry of a colour map, which is ignored"]);
+        let both = "COFF\n3 1 0\n0 0 0 9 8 7\n1 0 0 9 8 7\n0 1 0 9 8 7\n3 0 1 2 255 0 0\n";
+        let asset = read(both).unwrap();
+        assert_eq!(mesh(&asset).colors, Some(vec![[9, 8, 7, 255]; 3]));
+        assert_eq!(asset.warnings.len(), 1);
+        let plain = read(&PLAIN.replace(" 255 0 0", "")).unwrap();
+        assert!(plain.warnings.is_empty() && mesh(&plain).colors.is_none());
     }
 
     #[test]

@@ -2,7 +2,8 @@
 //!
 //! STL stores every triangle's corners anew; corners at exactly the same place become one vertex, so
 //! that smooth normals can be estimated later. The file's own facet normals are the triangles'
-//! and are not kept. Many binary files begin with `solid` like ascii ones: what follows decides.
+//! and are not kept. Facets of binary files have colours where the file follows one of the two conventions for their
+//! attributes: that of VisCAM, or that of Magics, whose header has a colour as well. Many binary files begin with `solid` like ascii ones: what follows decides.
 
 use std::collections::HashMap;
 use std::io::BufRead;
@@ -13,10 +14,14 @@ use glam::DVec3;
 use super::input::{Input, Origin};
 use super::polygon::Triangulator;
 use super::tokens::{BYTE_ORDER_MARK, Lines, Tokens, number, shown};
-use super::{Asset, AssetError, Geometry, Mesh, ReadOptions, tidy};
+use super::{Asset, AssetError, Geometry, Mesh, ReadOptions, corners, tidy};
 
 const HEADER_BYTES: u64 = 84;
 const TRIANGLE_BYTES: u64 = 50;
+/// Before the colour of the whole, in headers of Magics.
+const COLOR_MARK: &[u8] = b"COLOR=";
+/// The bit of an attribute beside its three channels of five bits. It says that VisCAM gave the facet a colour, or that Magics gave it none.
+const FLAG: u16 = 1 << 15;
 
 /// Reads the file at `path`, gzipped or not; `name` begins every error.
 ///
@@ -38,7 +43,12 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
     } else {
         binary(reader, &origin, options, &mut warnings)?
     };
-    let mesh = Mesh { positions: welded.positions, triangles: welded.triangles, ..Mesh::default() };
+    let colors = welded.colors(&origin.head);
+    let mut mesh =
+        Mesh { positions: welded.positions, triangles: welded.triangles, ..Mesh::default() };
+    if let Some(colors) = colors {
+        corners::paint(&mut mesh, &colors, &origin.name, options)?;
+    }
     let mesh = tidy::finish_mesh(mesh, &origin.name, &mut warnings)?;
     let mut asset = Asset::single("stl", &origin.name, Geometry::Mesh(mesh));
     asset.warnings = warnings;
@@ -68,6 +78,8 @@ fn is_ascii(origin: &Origin) -> bool {
 struct Welded {
     positions: Vec<DVec3>,
     triangles: Vec<[u32; 3]>,
+    /// The attribute of each triangle, in binary files.
+    attributes: Vec<u16>,
     vertices: HashMap<[u64; 3], u32>,
 }
 
@@ -78,7 +90,27 @@ impl Welded {
     }
 
     fn triangle_bytes(&self) -> u64 {
-        12 * self.triangles.len() as u64
+        12 * self.triangles.len() as u64 + 2 * self.attributes.len() as u64
+    }
+
+    /// The colour of each triangle; `None` where the file has none.
+    fn colors(&self, head: &[u8]) -> Option<Vec<[u8; 4]>> {
+        let attributes = self.attributes.iter().copied();
+        if let Some(whole) = color_of_the_whole(head).filter(|_| !self.attributes.is_empty()) {
+            // Programs that know one colour alone leave all attributes 0, which would be black.
+            let is_plain = attributes.clone().all(|attribute| attribute == 0);
+            let color = |attribute: u16| {
+                let [r, g, b] = channels(attribute);
+                if is_plain || attribute & FLAG != 0 { whole } else { [r, g, b, 255] }
+            };
+            return Some(attributes.map(color).collect());
+        }
+        let color = |attribute: u16| {
+            let [b, g, r] = channels(attribute);
+            if attribute & FLAG != 0 { [r, g, b, 255] } else { [255; 4] }
+        };
+        let are_colors = attributes.clone().any(|attribute| attribute & FLAG != 0);
+        are_colors.then(|| attributes.map(color).collect())
     }
 
     fn vertex(
@@ -97,6 +129,19 @@ impl Welded {
         self.positions.push(position);
         Ok(next as u32)
     }
+}
+
+/// The colour of the whole in a header of Magics.
+fn color_of_the_whole(head: &[u8]) -> Option<[u8; 4]> {
+    let title = head.get(..80)?;
+    let at = title.windows(COLOR_MARK.len()).position(|part| part == COLOR_MARK)?;
+    let [r, g, b, _] = *title.get(at + COLOR_MARK.len()..)?.first_chunk::<4>()?;
+    Some([r, g, b, 255])
+}
+
+/// The three channels of an attribute, that in the lowest bits first.
+fn channels(attribute: u16) -> [u8; 3] {
+    [0, 5, 10].map(|shift| (((attribute >> shift) & 31) * 255 / 31) as u8)
 }
 
 fn binary(
@@ -128,8 +173,9 @@ fn binary(
     let mut welded = Welded::default();
     let (mut vertices, mut triangles) =
         (origin.admission.meter(file), origin.admission.meter(file));
-    triangles.reach_exactly(12 * origin.reserve(count) as u64)?;
+    triangles.reach_exactly(14 * origin.reserve(count) as u64)?;
     welded.triangles.reserve(origin.reserve(count));
+    welded.attributes.reserve(origin.reserve(count));
     let mut record = [0; TRIANGLE_BYTES as usize];
     for index in 0..count {
         reader.read_exact(&mut record).map_err(|source| match source.kind() {
@@ -151,6 +197,7 @@ fn binary(
             welded.vertex(corner(9), file, options)?,
         ];
         welded.triangles.push(triangle);
+        welded.attributes.push(u16::from_le_bytes([record[48], record[49]]));
         vertices.reach(welded.vertex_bytes())?;
         triangles.reach(welded.triangle_bytes())?;
     }
@@ -165,12 +212,13 @@ fn ascii(
 ) -> Result<Welded, AssetError> {
     let file = origin.name.as_str();
     let mut lines = Lines::new(reader, file);
+    lines.end_at_carriage_returns_if_alone()?;
     let mut welded = Welded::default();
     let mut meter = origin.admission.meter(file);
     let mut triangulator = Triangulator::default();
     let mut ring: Vec<u32> = Vec::new();
     let mut facets = 0u64;
-    let (mut in_loop, mut in_solid) = (false, false);
+    let (mut in_loop, mut in_solid, mut has_colors) = (false, false, false);
     while lines.advance()? {
         let line_number = lines.number;
         let fail = |facets: u64, reason: String| {
@@ -216,7 +264,10 @@ fn ascii(
                     in_solid = false;
                     break;
                 }
-                b"color" => break,
+                b"color" => {
+                    has_colors = true;
+                    break;
+                }
                 _ => {
                     return Err(fail(facets, format!("{} is not expected here", shown(word))));
                 }
@@ -226,6 +277,9 @@ fn ascii(
     if in_loop {
         let place = format!("facet {}", facets.saturating_sub(1));
         return Err(AssetError::malformed(file, place, "the file ends inside the loop"));
+    }
+    if has_colors {
+        warnings.push("colours of ascii STL are ignored".to_owned());
     }
     if in_solid {
         warnings.push("endsolid is missing, the file may be truncated".to_owned());
@@ -301,6 +355,36 @@ mod tests {
         assert!(read(binary_file("x", &[])).is_err());
     }
 
+    #[test]
+    fn facets_have_the_colors_of_both_conventions() {
+        let painted = |title: &[u8], attributes: [u16; 2]| {
+            let mut bytes = binary_file("", &SQUARE);
+            bytes[..title.len()].copy_from_slice(title);
+            for (at, attribute) in [132, 182].into_iter().zip(attributes) {
+                bytes[at..at + 2].copy_from_slice(&attribute.to_le_bytes());
+            }
+            let asset = read(bytes).unwrap();
+            let mesh = mesh(&asset);
+            mesh.colors.as_ref().map(|colors| {
+                let color = |triangle: [u32; 3]| {
+                    let [a, b, c] = triangle.map(|corner| colors[corner as usize]);
+                    assert!(a == b && b == c, "{colors:?}");
+                    a
+                };
+                [color(mesh.triangles[0]), color(mesh.triangles[1])]
+            })
+        };
+        let (red, blue, white) = ([255, 0, 0, 255], [0, 0, 255, 255], [255; 4]);
+        assert_eq!(painted(b"x", [0, 0]), None);
+        assert_eq!(painted(b"x", [31, 31 << 10]), None, "without the flag they mean nothing");
+        assert_eq!(painted(b"x", [FLAG | 31, FLAG | (31 << 10)]), Some([blue, red]));
+        assert_eq!(painted(b"x", [FLAG | 31, 0]), Some([blue, white]));
+        let magics = b"COLOR=\x10\x20\x30\xff,MATERIAL=";
+        let whole = [16, 32, 48, 255];
+        assert_eq!(painted(magics, [31, FLAG]), Some([red, whole]));
+        assert_eq!(painted(magics, [0, 0]), Some([whole, whole]));
+    }
+
     const ASCII: &str = "solid a b\n facet normal 0 0 1\n outer loop\n vertex 0 0 0\n \
         VERTEX 1 0 0\n vertex 1 1e0 0\n vertex 0 1 0\n endloop\n endfacet\nendsolid a b\n";
 
@@ -313,6 +397,9 @@ mod tests {
         assert_eq!(mesh(&read(one_line).unwrap()).triangles.len(), 2);
         let marked = format!("\u{feff}{ASCII}");
         assert_eq!(mesh(&read(marked).unwrap()).triangles.len(), 2, "after a byte order mark");
+        assert_eq!(mesh(&read(ASCII.replace('\n', "\r")).unwrap()).triangles.len(), 2);
+        let colored = ASCII.replacen(" facet", " color 1 0 0\n facet", 1);
+        assert_eq!(read(colored).unwrap().warnings, ["colours of ascii STL are ignored"]);
         let open = ASCII.replace("endsolid a b\n", "");
         assert_eq!(read(open).unwrap().warnings.len(), 1);
     }

@@ -44,6 +44,18 @@ impl<'a, R: BufRead> Lines<'a, R> {
         Ok(())
     }
 
+    /// Takes carriage returns for the ends of lines, as old Macintosh software writes them, if the begin of the text has them and
+    /// no line feed.
+    pub fn end_at_carriage_returns_if_alone(&mut self) -> Result<(), AssetError> {
+        let begin = self.reader.fill_buf().map_err(|source| AssetError::io(self.file, source))?;
+        // A line feed may follow the last byte.
+        let has_returns = begin.split_last().is_some_and(|(_, rest)| rest.contains(&b'\r'));
+        if has_returns && !begin.contains(&b'\n') {
+            self.end = b'\r';
+        }
+        Ok(())
+    }
+
     /// Reads the next line; false at the end of the file.
     pub fn advance(&mut self) -> Result<bool, AssetError> {
         self.line.clear();

@@ -7,9 +7,9 @@
 //! | evidence for a direction | weight |
 //! |---|---|
 //! | glTF, whose specification says +y | 9 for +y |
-//! | survey formats (LAS, LAZ, COPC, PTS, PTX), and tracts (TCK, TRK, TRX), whose z leads from the feet to the head | 2 for +z |
+//! | survey formats (LAS, LAZ and so COPC, PTX), and tracts (TCK, TRK, TRX), whose z leads from the feet to the head | 2 for +z |
 //! | coordinates of a national or world-wide grid | 2.5 for +z |
-//! | E57; XYZ, CSV, PCD, STL; PLY, OBJ, OFF | 1.0; 0.7; 0.2 for +z and 0.2; 0.2; 0.7 for +y |
+//! | E57; XYZ with PTS and CSV, PCD, STL; PLY, OBJ, OFF | 1.0; 0.7; 0.2 for +z and 0.2; 0.2; 0.7 for +y |
 //! | the asset stands on this end: wide support below its centre of mass | up to 1.8 |
 //! | the asset stands on the other end | down to −0.8 |
 //! | this end is flat | up to 0.9, down to −0.5 where the other end is |
@@ -102,9 +102,9 @@ fn custom(format: &str, axis: usize, end: usize) -> Vec<Evidence> {
     }
     let [y, z] = match format {
         "glb" | "gltf" => [9.0, 0.0],
-        "las" | "laz" | "copc" | "pts" | "ptx" | "tck" | "trk" | "trx" => [0.0, 2.0],
+        "las" | "laz" | "ptx" | "tck" | "trk" | "trx" => [0.0, 2.0],
         "e57" => [0.2, 1.0],
-        "xyz" | "csv" | "pcd" | "stl" => [0.2, 0.7],
+        "xyz" | "pcd" | "stl" => [0.2, 0.7],
         _ => [0.7, 0.2],
     };
     let weight = if axis == 1 { y } else { z };

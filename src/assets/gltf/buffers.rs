@@ -226,12 +226,11 @@ impl<'a> Buffers<'a> {
                     values.extend(bytes.chunks_exact(kind.size()).map(&convert));
                 }
             }
-            None if accessor.sparse.is_some() => {
-                // Zeros out of nothing: no bytes of the file stand behind them.
+            None => {
+                // An accessor without a view holds zeros. No bytes of the file stand behind them.
                 self.keep(&place(), (count as u64).saturating_mul(components as u64))?;
                 values.resize(count * components, T::default());
             }
-            None => return Err(self.fail(place(), "has neither a bufferView nor sparse values")),
         }
         if let Some(sparse) = &accessor.sparse {
             self.overlay(sparse, kind, components, &convert, &mut values, &place())?;

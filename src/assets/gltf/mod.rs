@@ -3,7 +3,8 @@
 //! The JSON is taken apart by the `gltf` crate's types; every index, offset and count in it is checked
 //! here, against the document and against the buffers. Each primitive becomes one geometry with one
 //! material, each node that draws it a placement (several under `EXT_mesh_gpu_instancing`). The default
-//! scene is drawn; skins, morph targets, animations and lights are not, and a warning says so.
+//! scene is drawn; skins, morph targets, animations and lights are not, and a warning says so. A skinned mesh stands where
+//! the uppermost joint of its skin places it in the bind pose.
 //!
 //! Colours: vertex colours and factors are linear in glTF, textures sRGB. See [`material`] for how
 //! metallic–roughness becomes Phong.
@@ -13,6 +14,7 @@ mod container;
 mod material;
 mod primitive;
 mod scene;
+mod skin;
 
 #[cfg(test)]
 mod tests;

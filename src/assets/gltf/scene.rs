@@ -9,6 +9,7 @@ use super::super::{AssetError, Placement};
 use super::buffers::Buffers;
 use super::material::Materials;
 use super::primitive::Primitives;
+use super::skin;
 use crate::math::{Bounds, Camera, Lens};
 
 /// Vertices that a placement counts for.
@@ -33,29 +34,36 @@ pub(super) fn walk(
     let fail =
         |node: usize, reason: &str| AssetError::malformed(file, format!("nodes[{node}]"), reason);
     let mut drawn = Drawn::default();
-    let mut visited = vec![false; root.nodes.len()];
+    let mut asset_from_nodes: Vec<Option<DAffine3>> = vec![None; root.nodes.len()];
+    // Placements of skinned meshes, and their skins. Joints may come behind the meshes that they move.
+    let mut skinned = Vec::new();
     let mut stack: Vec<(usize, DAffine3)> =
         roots(root, file)?.into_iter().rev().map(|node| (node, DAffine3::IDENTITY)).collect();
     while let Some((index, asset_from_parent)) = stack.pop() {
         let Some(node) = root.nodes.get(index) else {
             return Err(fail(index, "does not exist"));
         };
-        if std::mem::replace(&mut visited[index], true) {
+        if asset_from_nodes[index].is_some() {
             return Err(fail(index, "has two parents or is its own ancestor"));
         }
         let asset_from_node = asset_from_parent * parent_from_node(node);
         if !asset_from_node.is_finite() {
             return Err(fail(index, "its transform is not finite"));
         }
+        asset_from_nodes[index] = Some(asset_from_node);
         drawn.node(root, node, index, asset_from_node);
         if let Some(mesh) = node.mesh {
             let geometries = primitives.get(mesh, materials)?;
             let mesh_name = root.get(mesh).and_then(|mesh| mesh.name.clone());
             let name = node.name.clone().or(mesh_name).unwrap_or_else(|| format!("node {index}"));
+            let first = drawn.placements.len();
+            // The joints alone place a skinned mesh (glTF 2.0, section 3.7.3.3).
+            let asset_from_mesh =
+                if node.skin.is_some() { DAffine3::IDENTITY } else { asset_from_node };
             for local in instances(node, index, buffers, file)? {
                 let place = format!("nodes[{index}]");
                 buffers.keep(&place, PLACEMENT_COST.saturating_mul(geometries.len() as u64))?;
-                let asset_from_geometry = asset_from_node * local;
+                let asset_from_geometry = asset_from_mesh * local;
                 let scale = mean_scale(&asset_from_geometry);
                 for &geometry in &geometries {
                     let geometry = primitives.scaled(geometry, scale, &place, materials)?;
@@ -63,11 +71,15 @@ pub(super) fn walk(
                     drawn.placements.push(Placement { name, geometry, asset_from_geometry });
                 }
             }
+            if let Some(skin) = node.skin {
+                skinned.push((first..drawn.placements.len(), skin.value()));
+            }
         }
         for child in node.children.iter().flatten().rev() {
             stack.push((child.value(), asset_from_node));
         }
     }
+    skin::place(&mut drawn.placements, skinned, root, buffers, &asset_from_nodes)?;
     Ok(drawn)
 }
 

@@ -1,4 +1,7 @@
-use glam::{DVec3, Vec2, Vec3};
+mod accessors;
+mod nodes;
+
+use glam::{DVec3, Vec2};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -124,43 +127,6 @@ fn close(found: DVec3, expected: [f64; 3]) -> bool {
 }
 
 #[test]
-fn transforms_chain_in_f64() {
-    let mut document = square();
-    let half = std::f32::consts::FRAC_1_SQRT_2;
-    document.node(json!({ "translation": [10, 0, 0], "children": [2] }));
-    document.node(json!({ "rotation": [0, 0, half, half], "scale": [2, 2, 2], "mesh": 0 }));
-    let asset = document.read().unwrap();
-    assert_eq!((asset.geometries.len(), asset.placements.len()), (1, 2));
-    assert_eq!(asset.placements[0].name, "thing");
-    let turned = asset.placements[1].asset_from_geometry;
-    assert!(close(turned.transform_point3(DVec3::X), [10.0, 2.0, 0.0]));
-    assert_eq!(asset.format, "glb");
-    assert!(asset.warnings.is_empty(), "{:?}", asset.warnings);
-}
-
-#[test]
-fn only_the_default_scene_is_drawn() {
-    let mut document = square();
-    let node = document.node(json!({ "mesh": 0, "matrix": [1,0,0,0, 0,1,0,0, 0,0,1,0, 5,6,7,1] }));
-    document.json["scenes"] = json!([{ "nodes": [0] }, { "nodes": [node] }]);
-    document.json["scene"] = json!(1);
-    let asset = document.read().unwrap();
-    assert_eq!(asset.placements.len(), 1);
-    assert!(close(asset.placements[0].asset_from_geometry.translation, [5.0, 6.0, 7.0]));
-}
-
-#[test]
-fn cycles_and_double_parents_are_refused() {
-    let mut document = square();
-    document.json["nodes"] = json!([{ "children": [1] }, { "children": [0], "mesh": 0 }]);
-    document.json["scenes"] = json!([{ "nodes": [0] }]);
-    let error = document.read().unwrap_err().to_string();
-    assert!(error.starts_with("a.glb: nodes[0]: has two parents"), "{error}");
-    document.json["nodes"] = json!([{ "children": [1, 1] }, { "mesh": 0 }]);
-    assert!(document.read().is_err());
-}
-
-#[test]
 fn strips_fans_points_and_lines() {
     let mut document = Document::new();
     let position = document.square();
@@ -261,93 +227,6 @@ fn points_and_lines_have_the_base_color_of_their_material() {
     assert_eq!(colors[2], Some(&[factor; 4][..]));
     assert_eq!(colors[3], Some(&[product; 4][..]));
     assert_eq!(colors[4], None);
-}
-
-#[test]
-fn sparse_and_normalised_accessors() {
-    let mut document = square();
-    let at = document.view(&2u16.to_le_bytes());
-    let new: Vec<u8> = [9f32, 8., 7.].iter().flat_map(|v| v.to_le_bytes()).collect();
-    let new = document.view(&new);
-    document.json["accessors"][0]["sparse"] = json!({ "count": 1,
-        "indices": { "bufferView": at, "componentType": 5123 }, "values": { "bufferView": new } });
-    let color = document.accessor(&[255, 0, 128, 0, 64, 255], "VEC3", 5121, 2);
-    document.json["accessors"][color]["normalized"] = json!(true);
-    document.json["accessors"][color]["count"] = json!(4);
-    document.json["accessors"][color]["bufferView"] = json!(null);
-    document.json["accessors"][color]["sparse"] = json!({ "count": 2,
-        "indices": { "bufferView": document.view(&[0, 3]), "componentType": 5121 },
-        "values": { "bufferView": color + 2 } });
-    document.json["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = json!(color);
-    let asset = document.read().unwrap();
-    assert_eq!(mesh(&asset, 0).positions[2], DVec3::new(9.0, 8.0, 7.0));
-    let colors = mesh(&asset, 0).colors.as_ref().unwrap();
-    // Linear 128 and 64 are sRGB 188 and 137.
-    assert_eq!(*colors, [[255, 0, 188, 255], [0, 0, 0, 255], [0, 0, 0, 255], [0, 137, 255, 255]]);
-}
-
-#[test]
-fn strides_and_shared_accessors() {
-    let mut document = Document::new();
-    let mut bytes = Vec::new();
-    for at in 0..5u32 {
-        for value in [at as f32, (at * at) as f32, 0.0, 99.0] {
-            bytes.extend(f32::to_le_bytes(value));
-        }
-    }
-    let position = document.accessor(&bytes, "VEC3", 5126, 5);
-    document.json["bufferViews"][0]["byteStride"] = json!(16);
-    let indices = document.accessor(&[4, 2, 3], "SCALAR", 5121, 3);
-    document.mesh(json!({ "attributes": { "POSITION": position }, "indices": indices }));
-    document.node(json!({ "mesh": 0 }));
-    let asset = document.read().unwrap();
-    assert_eq!(mesh(&asset, 0).positions.len(), 3);
-    assert_eq!(mesh(&asset, 0).triangles, [[2, 0, 1]]);
-    assert_eq!(mesh(&asset, 0).positions[2], DVec3::new(4.0, 16.0, 0.0));
-}
-
-#[test]
-fn neighbours_share_what_they_read() {
-    let mut document = Document::new();
-    let position = document.square();
-    let primitives: Vec<Value> = [[0, 1, 2], [0, 2, 3], [3, 1, 0]]
-        .iter()
-        .map(|corners| {
-            let indices = document.accessor(corners, "SCALAR", 5121, 3);
-            json!({ "attributes": { "POSITION": position }, "indices": indices })
-        })
-        .collect();
-    document.push("meshes", json!({ "primitives": primitives }));
-    document.node(json!({ "mesh": 0 }));
-    let asset = document.read().unwrap();
-    assert_eq!(mesh(&asset, 1).positions, [DVec3::ZERO, DVec3::new(1.0, 1.0, 0.0), DVec3::Y]);
-    assert_eq!(mesh(&asset, 2).triangles, [[2, 1, 0]]);
-    assert_eq!(mesh(&asset, 2).positions, [DVec3::ZERO, DVec3::X, DVec3::Y]);
-}
-
-#[test]
-fn repetition_is_bounded() {
-    let mut document = square();
-    let primitive = document.json["meshes"][0]["primitives"][0].clone();
-    let indices = document.accessor(&[0; 3 << 16], "SCALAR", 5121, 3 << 16);
-    let mut repeated = primitive.clone();
-    repeated["indices"] = json!(indices);
-    document.json["meshes"][0]["primitives"] = json!(vec![repeated; 1000]);
-    let error = document.read().unwrap_err().to_string();
-    assert!(error.contains("multiplies its buffers' data"), "{error}");
-}
-
-#[test]
-fn normals_are_scaled_and_zero_ones_unknown() {
-    let mut document = square();
-    let normal = document.floats(&[0., 0., 2., 0., 0., 0., 0., 3., 4., 1., 0., 0.], "VEC3");
-    document.json["meshes"][0]["primitives"][0]["attributes"]["NORMAL"] = json!(normal);
-    let asset = document.read().unwrap();
-    let normals = mesh(&asset, 0).normals.as_ref().unwrap();
-    assert_eq!(*normals, [Vec3::Z, Vec3::ZERO, Vec3::new(0.0, 0.6, 0.8), Vec3::X]);
-    document.json["accessors"][normal]["count"] = json!(3);
-    let asset = document.read().unwrap();
-    assert!(mesh(&asset, 0).normals.is_none() && asset.warnings.len() == 1);
 }
 
 /// A square with a texture of two by two texels and two sets of coordinates.
@@ -551,45 +430,6 @@ fn webp_and_broken_textures() {
         assert!(asset.textures.is_empty() && asset.materials[0].base_texture.is_none());
         assert_eq!(asset.warnings.len(), 1);
     }
-}
-
-#[test]
-fn gpu_instances_become_placements() {
-    let mut document = square();
-    let translation = document.floats(&[1., 0., 0., 2., 0., 0., 3., 0., 0.], "VEC3");
-    let scale = document.floats(&[1., 1., 1., 2., 2., 2., 3., 3., 3.], "VEC3");
-    document.json["nodes"][0]["translation"] = json!([0, 5, 0]);
-    document.json["nodes"][0]["extensions"] = json!({ "EXT_mesh_gpu_instancing":
-        { "attributes": { "TRANSLATION": translation, "SCALE": scale } } });
-    document.json["extensionsRequired"] = json!(["EXT_mesh_gpu_instancing"]);
-    let asset = document.read().unwrap();
-    assert_eq!((asset.geometries.len(), asset.placements.len()), (1, 3));
-    let last = asset.placements[2].asset_from_geometry;
-    assert!(close(last.transform_point3(DVec3::X), [6.0, 5.0, 0.0]));
-    document.json["accessors"][scale]["count"] = json!(2);
-    assert!(document.read().is_err());
-}
-
-#[test]
-fn cameras_and_lights() {
-    let mut document = square();
-    document.json["cameras"] = json!([
-        { "type": "perspective", "name": "front", "perspective": { "yfov": 1.0, "znear": 0.1 } },
-        { "type": "orthographic",
-          "orthographic": { "xmag": 1, "ymag": 1, "zfar": 2, "znear": 1 } }
-    ]);
-    let half = std::f32::consts::FRAC_1_SQRT_2;
-    document.node(json!({ "camera": 0, "translation": [9, 0, 0], "rotation": [0, half, 0, half] }));
-    document.node(json!({ "camera": 1 }));
-    document.node(json!({ "extensions": { "KHR_lights_punctual": { "light": 0 } } }));
-    let asset = document.read().unwrap();
-    let [(name, camera), (_, flat)] = &asset.cameras[..] else { panic!("{:?}", asset.cameras) };
-    assert_eq!(name, "front");
-    // It looks at the middle of the square, whose x are 0 to 1.
-    assert!(close(camera.eye, [9.0, 0.0, 0.0]) && close(camera.target, [0.5, 0.0, 0.0]));
-    assert!((camera.lens.fov_deg().unwrap() - 57.29578).abs() < 1e-4);
-    assert_eq!(flat.lens.ortho_height(), Some(2.0), "twice ymag");
-    assert_eq!(asset.warnings.len(), 1);
 }
 
 #[test]

@@ -1,9 +1,11 @@
-//! Extra bytes: fields behind those of the point format, as a variable length record declares them (LAS 1.4 R15, §2.7).
+//! Extra bytes: fields behind those of the point format, as a variable length record declares them, extended or not (LAS 1.4 R15, §2.7).
 
 use super::super::fields::name_of;
 
 /// Bytes of a declaration.
 const DECLARATION_BYTES: usize = 192;
+/// Bytes of all declarations at most: the length of a record has 16 bits.
+pub(super) const MOST_BYTES: u64 = DECLARATION_BYTES as u64 * u16::MAX as u64;
 /// Flags that a value stands for none, and that a scale and an offset are given.
 const HAS_NO_DATA: u8 = 1;
 const HAS_SCALE: u8 = 8;

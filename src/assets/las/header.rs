@@ -12,6 +12,10 @@ use crate::assets::points::unsupported;
 const HEADER_BYTES: u64 = 227;
 const HEADER_BYTES_1_4: u64 = 375;
 const VLR_HEADER_BYTES: u64 = 54;
+/// Header bytes of an extended variable length record, which stands behind the points (LAS 1.4 R15, §2.8).
+const EVLR_HEADER_BYTES: u64 = 60;
+/// Extended records that are looked at.
+const MOST_EXTENDED: u32 = 10_000;
 const LASZIP_USER_ID: &[u8] = b"laszip encoded";
 const LASZIP_RECORD_ID: u16 = 22204;
 const SPEC_USER_ID: &[u8] = b"LASF_Spec";
@@ -130,8 +134,12 @@ impl Header {
             return Err(bad("offset", format!("is {offset}")));
         }
         let declared = block.u32(100);
-        let Records { laszip, extra } =
+        let Records { laszip, mut extra } =
             find_records(reader, header_bytes, points_offset, declared, warnings).map_err(io)?;
+        if wide && extra.is_empty() && record_bytes > format_bytes {
+            let (start, count) = (block.u64(235), block.u32(243));
+            extra = extended_declarations(reader, start, file_bytes, count).map_err(io)?;
+        }
         let extra = extra::declared(&extra, format_bytes, record_bytes);
         Ok(Self {
             version_minor,
@@ -197,4 +205,35 @@ fn find_records<R: Read + Seek>(
         at += VLR_HEADER_BYTES + length;
     }
     Ok(found)
+}
+
+/// Declarations of extra bytes among the extended variable length records; empty where there are none.
+fn extended_declarations<R: Read + Seek>(
+    reader: &mut R,
+    start: u64,
+    end: u64,
+    declared: u32,
+) -> std::io::Result<Vec<u8>> {
+    let fits = |from: u64, bytes: u64| from.checked_add(bytes).filter(|behind| *behind <= end);
+    let mut at = start;
+    for _ in 0..declared.min(MOST_EXTENDED) {
+        let Some(begin) = fits(at, EVLR_HEADER_BYTES) else { break };
+        let mut head = [0; EVLR_HEADER_BYTES as usize];
+        reader.seek(SeekFrom::Start(at))?;
+        reader.read_exact(&mut head)?;
+        let mut length = [0; 8];
+        length.copy_from_slice(&head[20..28]);
+        let length = u64::from_le_bytes(length);
+        let Some(behind) = fits(begin, length) else { break };
+        let is_extra = head[2..18].starts_with(SPEC_USER_ID)
+            && u16::from_le_bytes([head[18], head[19]]) == EXTRA_BYTES_RECORD_ID;
+        if is_extra {
+            // A record has no more extra bytes than its length can say.
+            let mut data = vec![0; length.min(extra::MOST_BYTES) as usize];
+            reader.read_exact(&mut data)?;
+            return Ok(data);
+        }
+        at = behind;
+    }
+    Ok(Vec::new())
 }

@@ -112,17 +112,20 @@ fn declared_extra_bytes_are_fields() {
     (declarations[194], declarations[195]) = (3, 8);
     declarations[196..205].copy_from_slice(b"Amplitude");
     declarations[304..312].copy_from_slice(&0.5f64.to_le_bytes());
-    for is_compressed in [false, true] {
+    for (is_compressed, is_extended) in [(false, false), (true, false), (false, true), (true, true)]
+    {
         let mut builder = Builder::from((1, 4));
         builder.point_format = Format::new(6).unwrap();
         builder.point_format.is_compressed = is_compressed;
         builder.point_format.extra_bytes = 3;
-        builder.vlrs.push(las::Vlr {
-            user_id: "LASF_Spec".to_owned(),
-            record_id: 4,
-            data: declarations.clone(),
-            ..las::Vlr::default()
-        });
+        if !is_extended {
+            builder.vlrs.push(las::Vlr {
+                user_id: "LASF_Spec".to_owned(),
+                record_id: 4,
+                data: declarations.clone(),
+                ..las::Vlr::default()
+            });
+        }
         let header = builder.into_header().unwrap();
         let mut writer = Writer::new(Cursor::new(Vec::new()), header).unwrap();
         for i in 0..300u16 {
@@ -133,7 +136,21 @@ fn declared_extra_bytes_are_fields() {
             writer.write_point(Point { x, gps_time, extra_bytes, ..Point::default() }).unwrap();
         }
         writer.close().unwrap();
-        let bytes = writer.into_inner().unwrap().into_inner();
+        let mut bytes = writer.into_inner().unwrap().into_inner();
+        if is_extended {
+            // Another record stands before that of the declarations.
+            let start = bytes.len() as u64;
+            bytes[235..243].copy_from_slice(&start.to_le_bytes());
+            bytes[243..247].copy_from_slice(&2u32.to_le_bytes());
+            for (id, data) in [(9u16, &declarations[..5]), (4, &declarations[..])] {
+                let mut head = [0; 60];
+                head[2..11].copy_from_slice(b"LASF_Spec");
+                head[18..20].copy_from_slice(&id.to_le_bytes());
+                head[20..28].copy_from_slice(&(data.len() as u64).to_le_bytes());
+                bytes.extend(head);
+                bytes.extend(data);
+            }
+        }
         let asset = read_bytes(&bytes).unwrap();
         let values = points_of(&asset).values_of("Amplitude").unwrap();
         let expected: Vec<f64> = (0..300).map(|i| f64::from(1000 + i) * 0.5).collect();

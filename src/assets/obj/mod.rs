@@ -50,6 +50,7 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
     let Input { reader, origin } = input;
     let mut statements = Statements::new(&origin.name, options);
     let mut lines = Lines::new(reader, &origin.name);
+    lines.end_at_carriage_returns_if_alone()?;
     while lines.advance()? {
         // A comment may end in a path's backslash.
         if !is_comment(lines.tokens()) {

@@ -224,20 +224,20 @@ impl Definition {
                 || self.metallic_map.is_some()
                 || self.roughness_map.is_some());
         let reflection = if is_physical { textures.reflection(self, warnings) } else { None };
-        let has_metal = reflection.is_some_and(|(_, has_metal)| has_metal);
+        let has_metal = reflection.is_some_and(|own| own.has_metal);
         let factor = |own: Option<f32>, is_mapped: bool, plain: f32| match own {
             // Exporters write 0 beside a map and mean the map.
             Some(0.0) | None if is_mapped => 1.0,
             own => own.unwrap_or(plain).clamp(0.0, 1.0),
         };
-        let is_rough = reflection.is_some() && self.roughness_map.is_some();
+        let is_rough = reflection.is_some_and(|own| own.has_roughness);
         let filter = self.filter.filter(|_| is_physical).unwrap_or_default();
         let transmission = filter.into_iter().fold(0.0, f32::max).min(1.0);
         let passed = |channel: f32| (channel / transmission).clamp(0.0, 1.0);
         let physical = is_physical.then(|| Physical {
             metallic: factor(self.metallic, has_metal, 0.0),
             roughness: factor(self.roughness, is_rough, 1.0),
-            map: reflection.map(|(number, _)| number),
+            map: reflection.map(|own| own.texture),
             transmission,
             volume: if transmission > 0.0 { filter.map(passed) } else { [1.0; 3] },
             ..Physical::default()
@@ -331,8 +331,13 @@ fn map(tokens: &mut Tokens) -> Map {
     map
 }
 
-/// The number of a texture of roughness and metallic value, and whether it has a metallic value.
-type Reflection = (u32, bool);
+/// A texture of roughness and metallic value, and which of them it has.
+#[derive(Clone, Copy)]
+struct Reflection {
+    texture: u32,
+    has_roughness: bool,
+    has_metal: bool,
+}
 
 /// Textures that were asked for so far, each decoded once.
 struct Textures<'a> {
@@ -383,7 +388,11 @@ impl Textures<'_> {
                 merged.wrap = [Wrap::Clamp; 2];
             }
             self.textures.push(merged);
-            (self.textures.len() as u32 - 1, metallic.is_some())
+            Reflection {
+                texture: self.textures.len() as u32 - 1,
+                has_roughness: roughness.is_some(),
+                has_metal: metallic.is_some(),
+            }
         });
         self.reflections.insert(key, number);
         number
@@ -519,6 +528,14 @@ mod tests {
         assert!(textures.iter().all(|texture| texture.encoding == Encoding::Linear));
         assert_eq!(material.normal_map, Some(ScaledMap { texture: 1, factor: 0.5 }));
         assert!(warnings.is_empty(), "{warnings:?}");
+        // A map that cannot be had leaves the factor as it is, whether or not the other map is there.
+        for text in ["map_Pr gone.png\nPr 0", "map_Pr gone.png\nmap_Pm metal.png\nPr 0\nPm 0"] {
+            let (material, textures, warnings) = read(text);
+            let own = material.physical.unwrap();
+            assert_eq!((own.roughness, own.map.is_some()), (0.0, !textures.is_empty()), "{text}");
+            assert_eq!(own.metallic, if textures.is_empty() { 0.0 } else { 1.0 }, "{text}");
+            assert_eq!(warnings.len(), 1, "{warnings:?}");
+        }
         let (material, textures, warnings) = read("map_Pr rough.png\nmap_Pm other.png");
         let own = material.physical.unwrap();
         assert_eq!((own.metallic, own.map), (0.0, Some(0)));

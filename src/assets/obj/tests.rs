@@ -33,6 +33,13 @@ fn combinations_become_vertices() {
 }
 
 #[test]
+fn lines_may_end_with_carriage_returns_alone() {
+    let asset = read(&format!("{SQUARE}f 1 2 \\\n 3\n").replace('\n', "\r")).unwrap();
+    assert_eq!(mesh(&asset).triangles, [[0, 1, 2]]);
+    assert!(asset.warnings.is_empty(), "{:?}", asset.warnings);
+}
+
+#[test]
 fn comments_do_not_continue() {
     let asset = read("# from C:\\models\\\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
     assert_eq!(mesh(&asset).positions, [DVec3::ZERO, DVec3::X, DVec3::Y]);

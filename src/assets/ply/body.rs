@@ -22,11 +22,14 @@ pub(super) struct Wanted {
     pub values: usize,
     /// The list property that goes to [`Row::list`].
     pub list: Option<usize>,
+    /// The list property that goes to [`Row::numbers`].
+    pub numbers: Option<usize>,
 }
 
 impl Wanted {
     pub fn nothing(element: &Element) -> Wanted {
-        Wanted { slots: vec![None; element.properties.len()], values: 0, list: None }
+        let slots = vec![None; element.properties.len()];
+        Wanted { slots, values: 0, list: None, numbers: None }
     }
 }
 
@@ -35,6 +38,7 @@ impl Wanted {
 pub(super) struct Row {
     pub values: Vec<f64>,
     pub list: Vec<i64>,
+    pub numbers: Vec<f32>,
 }
 
 pub(super) enum Body<'a, R> {
@@ -62,7 +66,7 @@ impl<'a, R: BufRead> Body<'a, R> {
         if element.properties.is_empty() {
             return Ok(());
         }
-        let mut row = Row { values: vec![0.0; wanted.values], list: Vec::new() };
+        let mut row = Row { values: vec![0.0; wanted.values], ..Row::default() };
         match self {
             Body::Ascii(lines) => {
                 let limit = wanted.slots.len();
@@ -143,7 +147,13 @@ fn ascii_row<R: BufRead>(
                     return fail(format!("{} is no list length", shown(token)));
                 };
                 let keep = wanted.list == Some(property);
-                row.list.clear();
+                let keep_numbers = wanted.numbers == Some(property);
+                if keep {
+                    row.list.clear();
+                }
+                if keep_numbers {
+                    row.numbers.clear();
+                }
                 for item in 0..count {
                     let Some(token) = tokens.next() else {
                         return fail(format!("the line ends after {item} of {count} items"));
@@ -154,8 +164,15 @@ fn ascii_row<R: BufRead>(
                             None => return fail(format!("{} is not an integer", shown(token))),
                         }
                     }
+                    if keep_numbers {
+                        match number(token) {
+                            Some(value) => row.numbers.push(value as f32),
+                            None => return fail(format!("{} is not a number", shown(token))),
+                        }
+                    }
                 }
-                if keep && property + 1 < properties && wanted.slots.iter().all(Option::is_none) {
+                let is_only = wanted.numbers.is_none() && wanted.slots.iter().all(Option::is_none);
+                if keep && is_only && property + 1 < properties {
                     // Nothing behind the only wanted list matters.
                     return Ok(());
                 }
@@ -273,9 +290,18 @@ impl<R: BufRead> Scan<'_, R> {
                             format!("the list has {count} items"),
                         ));
                     }
-                    let keep = self.wanted.list == Some(property);
-                    let list = keep.then_some(&mut row.list);
-                    self.list(count as u64, item, index, property, list)?;
+                    let count = count as u64;
+                    if self.wanted.list == Some(property) {
+                        row.list.clear();
+                        let keep = |value: f64| row.list.push(value as i64);
+                        self.list(count, item, index, property, keep)?;
+                    } else if self.wanted.numbers == Some(property) {
+                        row.numbers.clear();
+                        let keep = |value: f64| row.numbers.push(value as f32);
+                        self.list(count, item, index, property, keep)?;
+                    } else {
+                        self.skip(count, item, index, property)?;
+                    }
                 }
             }
         }
@@ -296,17 +322,15 @@ impl<R: BufRead> Scan<'_, R> {
         Ok(())
     }
 
+    /// Gives each item of a list to `keep`, which keeps it in eight bytes at most.
     fn list(
         &mut self,
         count: u64,
         item: Scalar,
         index: u64,
         property: usize,
-        mut list: Option<&mut Vec<i64>>,
+        mut keep: impl FnMut(f64),
     ) -> Result<(), AssetError> {
-        if let Some(list) = &mut list {
-            list.clear();
-        }
         let mut bytes = [0; 256];
         let most = bytes.len() / item.bytes();
         let mut left = count;
@@ -314,11 +338,28 @@ impl<R: BufRead> Scan<'_, R> {
             let items = left.min(most as u64) as usize;
             let block = &mut bytes[..items * item.bytes()];
             self.take(block, index, property)?;
-            if let Some(list) = &mut list {
-                let values = block.chunks_exact(item.bytes());
-                self.meter.reach(8 * list.len() as u64)?;
-                list.extend(values.map(|bytes| item.decode(bytes, self.big) as i64));
-            }
+            self.meter.reach(8 * (count - left))?;
+            let values = block.chunks_exact(item.bytes());
+            values.map(|bytes| item.decode(bytes, self.big)).for_each(&mut keep);
+            left -= items as u64;
+        }
+        Ok(())
+    }
+
+    /// Steps over a list.
+    fn skip(
+        &mut self,
+        count: u64,
+        item: Scalar,
+        index: u64,
+        property: usize,
+    ) -> Result<(), AssetError> {
+        let mut bytes = [0; 256];
+        let most = bytes.len() / item.bytes();
+        let mut left = count;
+        while left > 0 {
+            let items = left.min(most as u64) as usize;
+            self.take(&mut bytes[..items * item.bytes()], index, property)?;
             left -= items as u64;
         }
         Ok(())

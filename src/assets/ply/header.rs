@@ -4,6 +4,7 @@ use std::io::BufRead;
 
 use super::super::AssetError;
 use super::super::tokens::{Lines, shown};
+use super::super::warnings::counted;
 
 /// More header lines than this are no header.
 const MAX_LINES: u64 = 100_000;
@@ -163,7 +164,8 @@ impl Header {
 pub(super) fn read<R: BufRead>(lines: &mut Lines<R>, file: &str) -> Result<Header, AssetError> {
     let mut encoding = None;
     let mut elements: Vec<Element> = Vec::new();
-    let mut texture_file = None;
+    let mut texture_file: Option<String> = None;
+    let mut more_textures = 0u64;
     let mut ignored = Ignored::default();
     lines.end_at_carriage_returns_after(b"ply")?;
     loop {
@@ -188,7 +190,9 @@ pub(super) fn read<R: BufRead>(lines: &mut Lines<R>, file: &str) -> Result<Heade
             b"" | b"obj_info" => {}
             b"comment" => {
                 if tokens.next() == Some(b"TextureFile") {
-                    texture_file = texture_file.or(Some(tokens.rest()));
+                    let name = tokens.rest();
+                    more_textures += u64::from(texture_file.as_ref().is_some_and(|it| *it != name));
+                    texture_file = texture_file.or(Some(name));
                 }
             }
             b"format" => match tokens.next() {
@@ -225,7 +229,12 @@ pub(super) fn read<R: BufRead>(lines: &mut Lines<R>, file: &str) -> Result<Heade
             },
         }
     }
-    let warnings = ignored.warnings();
+    let mut warnings = ignored.warnings();
+    warnings.extend(counted(
+        more_textures,
+        "more texture file is ignored: all faces have the first",
+        "more texture files are ignored: all faces have the first",
+    ));
     match encoding {
         Some(encoding) => Ok(Header { encoding, elements, texture_file, warnings }),
         None => Err(AssetError::malformed(file, "header", "there is no format line")),

@@ -5,7 +5,8 @@
 //! triangles. A file without faces is a point cloud; `range_grid`, the raster of a raw range scan,
 //! adds nothing to its points. Header lines that are not part of the format, which scanner software writes, are
 //! ignored with a warning, unless they look like damage. Colours are taken as sRGB whatever their type, texture coordinates
-//! with their origin at the bottom left. Gaussian splats in PLY's clothing are refused.
+//! with their origin at the bottom left; those of faces' corners count before those of vertices. Gaussian splats in PLY's
+//! clothing are refused.
 
 mod body;
 mod header;
@@ -17,23 +18,28 @@ mod tests;
 use std::io::BufRead;
 use std::path::Path;
 
-use glam::DVec3;
+use glam::{DVec3, Vec2};
 
-use self::body::{Body, Wanted};
+use self::body::{Body, Row, Wanted};
 use self::header::{Element, Header, Kind};
 pub(super) use self::vertices::Facts;
-use self::vertices::{Finished, Vertices};
+use self::vertices::Vertices;
 use super::input::{Input, Origin};
 use super::polygon::Triangulator;
 use super::texture::{self, TextureBudget};
 use super::tokens::Lines;
 use super::warnings::counted;
-use super::{Asset, AssetError, Geometry, Material, Mesh, MeshPart, PointCloud, ReadOptions, tidy};
+use super::{
+    Asset, AssetError, Geometry, Material, Mesh, MeshPart, PointCloud, ReadOptions, corners, tidy,
+};
 use crate::memory::Meter;
 
 /// Points that are given at a time.
 const BLOCK: usize = 1 << 16;
 const INDEX_LISTS: [&str; 2] = ["vertex_indices", "vertex_index"];
+/// Texture coordinates of a face's corners: u and v of each.
+const CORNER_UVS: [&str; 1] = ["texcoord"];
+const NO_UVS: [Vec2; 3] = [Vec2::ZERO; 3];
 
 /// Reads the file at `path`, gzipped or not; `name` begins every error.
 ///
@@ -68,6 +74,8 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
         triangulator: Triangulator::default(),
         rings: Vec::new(),
         ring_lengths: Vec::new(),
+        ring_uvs: Vec::new(),
+        corner_uvs: Vec::new(),
         max_triangles: options.max_triangles,
         meter,
         short_faces: 0,
@@ -171,21 +179,12 @@ pub(super) fn each(
 }
 
 fn mesh_asset(
-    vertices: Finished,
-    triangles: Vec<[u32; 3]>,
+    mut mesh: Mesh,
     header: &Header,
     origin: &Origin,
     options: &ReadOptions,
     warnings: &mut Vec<String>,
 ) -> Result<Asset, AssetError> {
-    let mut mesh = Mesh {
-        positions: vertices.positions,
-        triangles,
-        colors: vertices.colors,
-        normals: vertices.normals,
-        uvs: vertices.uvs,
-        parts: Vec::new(),
-    };
     let mut materials = Vec::new();
     let mut textures = Vec::new();
     if let (Some(reference), true) = (&header.texture_file, mesh.uvs.is_some()) {
@@ -247,6 +246,10 @@ struct Parts<'a> {
     /// Polygons that came before the vertices they need for being cut.
     rings: Vec<u32>,
     ring_lengths: Vec<u32>,
+    /// Texture coordinates beside `rings`, up to the last one that has them.
+    ring_uvs: Vec<Vec2>,
+    /// Texture coordinates beside `triangles`, up to the last one that has them.
+    corner_uvs: Vec<[Vec2; 3]>,
     max_triangles: u64,
     meter: Meter<'a>,
     short_faces: u64,
@@ -271,11 +274,12 @@ impl Parts<'_> {
                 self.have_vertices = true;
             }
             "face" if element.count > 0 => {
-                let wanted = self.begin_faces(element)?;
+                let mut wanted = self.begin_faces(element)?;
+                wanted.numbers = element.list(&CORNER_UVS);
                 let reserved = origin.reserve(element.count);
                 self.meter.reach_exactly(self.bytes() + 12 * reserved as u64)?;
                 self.triangles.reserve(reserved);
-                body.each(element, &wanted, |index, row| self.face(element, index, &row.list))?;
+                body.each(element, &wanted, |index, row| self.face(element, index, row))?;
             }
             "tristrips" if element.count > 0 => {
                 let wanted = self.begin_faces(element)?;
@@ -323,7 +327,18 @@ impl Parts<'_> {
         }
         let vertices = self.vertices.finish(&mut warnings);
         let mut asset = if self.have_faces {
-            mesh_asset(vertices, self.triangles, header, origin, options, &mut warnings)?
+            let mut mesh = Mesh {
+                positions: vertices.positions,
+                triangles: self.triangles,
+                colors: vertices.colors,
+                normals: vertices.normals,
+                uvs: vertices.uvs,
+                parts: Vec::new(),
+            };
+            if !self.corner_uvs.is_empty() {
+                corners::place_textures(&mut mesh, &self.corner_uvs, self.file, options)?;
+            }
+            mesh_asset(mesh, header, origin, options, &mut warnings)?
         } else {
             let cloud = tidy::finish_cloud(vertices.into_cloud(), self.file, &mut warnings)?;
             Asset::single("ply", self.file, Geometry::Points(cloud))
@@ -343,13 +358,23 @@ impl Parts<'_> {
         }
     }
 
-    fn face(&mut self, element: &Element, index: u64, list: &[i64]) -> Result<(), AssetError> {
+    fn face(&mut self, element: &Element, index: u64, row: &Row) -> Result<(), AssetError> {
+        let list = row.list.as_slice();
+        let (numbers, _) = row.numbers.as_chunks::<2>();
+        // The lists of faces without a texture are empty.
+        let has_uvs = !list.is_empty() && numbers.len() == list.len();
+        let uv =
+            |corner: usize| numbers.get(corner).map_or(Vec2::ZERO, |&[u, v]| Vec2::new(u, 1.0 - v));
         if let [a, b, c] = *list {
             let triangle = [
                 self.vertex(element, index, a)?,
                 self.vertex(element, index, b)?,
                 self.vertex(element, index, c)?,
             ];
+            if has_uvs {
+                self.corner_uvs.resize(self.triangles.len(), NO_UVS);
+                self.corner_uvs.push([uv(0), uv(1), uv(2)]);
+            }
             self.triangles.push(triangle);
             return self.check_triangles();
         }
@@ -358,9 +383,14 @@ impl Parts<'_> {
             let vertex = self.vertex(element, index, vertex)?;
             self.rings.push(vertex);
         }
+        if has_uvs {
+            self.ring_uvs.resize(from, Vec2::ZERO);
+            self.ring_uvs.extend((0..list.len()).map(uv));
+        }
         if list.len() < 3 {
             self.short_faces += 1;
             self.rings.truncate(from);
+            self.ring_uvs.truncate(from);
         } else {
             self.ring_lengths.push(list.len() as u32);
             if self.have_vertices {
@@ -375,6 +405,8 @@ impl Parts<'_> {
         self.vertices.len() as u64 * self.vertices.bytes_each()
             + 12 * self.triangles.len() as u64
             + 4 * (self.rings.len() + self.ring_lengths.len()) as u64
+            + 24 * self.corner_uvs.len() as u64
+            + 8 * self.ring_uvs.len() as u64
     }
 
     fn check_triangles(&mut self) -> Result<(), AssetError> {
@@ -411,13 +443,19 @@ impl Parts<'_> {
         for &length in &self.ring_lengths {
             let ring = &self.rings[from..from + length as usize];
             let place = |vertex: u32| positions.get(vertex as usize).copied().unwrap_or(DVec3::NAN);
-            let triangles = &mut self.triangles;
+            let uvs = self.ring_uvs.get(from..from + length as usize);
+            let (triangles, corner_uvs) = (&mut self.triangles, &mut self.corner_uvs);
             self.triangulator.cut(ring, place, |corners| {
+                if let Some(uvs) = uvs {
+                    corner_uvs.resize(triangles.len(), NO_UVS);
+                    corner_uvs.push(corners.map(|corner| uvs[corner as usize]));
+                }
                 triangles.push(corners.map(|corner| ring[corner as usize]));
             });
             from += length as usize;
         }
         self.rings.clear();
+        self.ring_uvs.clear();
         self.ring_lengths.clear();
         self.check_triangles()
     }

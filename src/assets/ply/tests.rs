@@ -324,6 +324,50 @@ fn texture_files_are_found() {
     assert_eq!((asset.textures.len(), asset.warnings.len()), (0, 1));
 }
 
+#[test]
+fn corners_have_texture_coordinates_of_their_own() {
+    let text = "ply\nformat ascii 1.0\ncomment TextureFile a.png\ncomment TextureFile a.png\n\
+        comment TextureFile b.png\nelement vertex 4\nproperty float x\nproperty float y\n\
+        property float z\nelement face 2\nproperty list uchar int vertex_indices\n\
+        property list uchar float texcoord\nproperty int texnumber\nend_header\n\
+        0 0 0\n1 0 0\n1 1 0\n0 1 0\n\
+        4 0 1 2 3 8 0 0 0.5 0 0.5 0.5 0 0.5 0\n3 1 0 2 6 1 1 0 0 0.5 0.5 0\n";
+    let header = text.replace("ascii", "binary_little_endian");
+    let mut bytes = header[..header.find("end_header\n").unwrap() + 11].as_bytes().to_vec();
+    let floats = |bytes: &mut Vec<u8>, values: &[f32]| {
+        bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+    };
+    floats(&mut bytes, &[0., 0., 0., 1., 0., 0., 1., 1., 0., 0., 1., 0.]);
+    let faces: [(&[i32], &[f32]); 2] = [
+        (&[0, 1, 2, 3], &[0., 0., 0.5, 0., 0.5, 0.5, 0., 0.5]),
+        (&[1, 0, 2], &[1., 1., 0., 0., 0.5, 0.5]),
+    ];
+    for (corners, uvs) in faces {
+        bytes.push(corners.len() as u8);
+        bytes.extend(corners.iter().flat_map(|corner| corner.to_le_bytes()));
+        bytes.push(uvs.len() as u8);
+        floats(&mut bytes, uvs);
+        bytes.extend([0; 4]);
+    }
+    for bytes in [text.as_bytes().to_vec(), bytes] {
+        let asset = read(bytes).unwrap();
+        let found = mesh(&asset);
+        let uvs = found.uvs.as_ref().unwrap();
+        assert_eq!((found.triangles.len(), found.positions.len(), uvs.len()), (3, 5, 5));
+        assert_eq!(found.triangles[2], [4, 0, 2], "one corner has another place in the image");
+        assert_eq!(found.positions[4], DVec3::X);
+        assert_eq!(uvs[..2], [Vec2::new(0.0, 1.0), Vec2::new(0.5, 1.0)]);
+        assert_eq!(uvs[4], Vec2::new(1.0, 0.0));
+        assert!(asset.warnings[0].starts_with("1 more texture file"), "{:?}", asset.warnings);
+    }
+    // Some faces have no place in the image, or none has.
+    let some = text.replace(" 6 1 1 0 0 0.5 0.5 0\n", " 0 0\n");
+    let uvs = mesh(&read(some.as_str()).unwrap()).uvs.clone().unwrap();
+    assert_eq!(uvs.iter().filter(|uv| **uv == Vec2::ZERO).count(), 3);
+    let none = some.replace(" 8 0 0 0.5 0 0.5 0.5 0 0.5 0\n", " 0 0\n");
+    assert!(mesh(&read(none.as_str()).unwrap()).uvs.is_none());
+}
+
 proptest! {
     #[test]
     fn damage_never_panics(at in 0usize..2000, value: u8, cut in 0usize..2000, ascii: bool) {

@@ -141,7 +141,7 @@ impl Vertices {
     /// Which properties [`Vertices::push`] needs.
     pub fn wanted(&self) -> Wanted {
         let values = SLOTS + self.fields.len();
-        Wanted { slots: self.slots.clone(), values, list: None }
+        Wanted { slots: self.slots.clone(), values, list: None, numbers: None }
     }
 
     /// Bytes of a vertex at most, with everything that is kept of one.
