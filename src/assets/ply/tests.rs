@@ -333,7 +333,7 @@ fn corners_have_texture_coordinates_of_their_own() {
         0 0 0\n1 0 0\n1 1 0\n0 1 0\n\
         4 0 1 2 3 8 0 0 0.5 0 0.5 0.5 0 0.5 0\n3 1 0 2 6 1 1 0 0 0.5 0.5 0\n";
     let header = text.replace("ascii", "binary_little_endian");
-    let mut bytes = header[..header.find("end_header\n").unwrap() + 11].as_bytes().to_vec();
+    let mut bytes = header.as_bytes()[..header.find("end_header\n").unwrap() + 11].to_vec();
     let floats = |bytes: &mut Vec<u8>, values: &[f32]| {
         bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
     };
