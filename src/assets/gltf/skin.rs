@@ -18,12 +18,16 @@ pub(super) fn place(
     buffers: &Buffers,
     asset_from_nodes: &[Option<DAffine3>],
 ) -> Result<(), AssetError> {
+    if skinned.is_empty() {
+        return Ok(());
+    }
+    let parents = parents(root, asset_from_nodes);
     let mut known: HashMap<usize, DAffine3> = HashMap::new();
     for (range, skin) in skinned {
         let asset_from_mesh = match known.get(&skin) {
             Some(&asset_from_mesh) => asset_from_mesh,
             None => {
-                let found = by_uppermost_joint(skin, root, buffers, asset_from_nodes)?;
+                let found = by_uppermost_joint(skin, root, buffers, asset_from_nodes, &parents)?;
                 let found = found.unwrap_or(DAffine3::IDENTITY);
                 known.insert(skin, found);
                 found
@@ -36,6 +40,22 @@ pub(super) fn place(
     Ok(())
 }
 
+/// The parent of each node that is drawn and has one.
+fn parents(root: &Root, asset_from_nodes: &[Option<DAffine3>]) -> Vec<Option<usize>> {
+    let mut parents = vec![None; root.nodes.len()];
+    for (number, node) in root.nodes.iter().enumerate() {
+        if asset_from_nodes.get(number).is_none_or(Option::is_none) {
+            continue;
+        }
+        for child in node.children.iter().flatten() {
+            if let Some(parent) = parents.get_mut(child.value()) {
+                *parent = Some(number);
+            }
+        }
+    }
+    parents
+}
+
 /// The transform by a skin's uppermost joint. In the bind pose all joints have the same. `None` for a skin without a usable
 /// joint.
 fn by_uppermost_joint(
@@ -43,12 +63,14 @@ fn by_uppermost_joint(
     root: &Root,
     buffers: &Buffers,
     asset_from_nodes: &[Option<DAffine3>],
+    parents: &[Option<usize>],
 ) -> Result<Option<DAffine3>, AssetError> {
     let Some(skin) = root.skins.get(skin) else { return Ok(None) };
-    let nodes = skin.joints.iter().filter_map(|joint| root.nodes.get(joint.value()));
-    let below: HashSet<usize> =
-        nodes.flat_map(|node| node.children.iter().flatten()).map(|child| child.value()).collect();
-    let uppermost = skin.joints.iter().position(|joint| !below.contains(&joint.value()));
+    let joints: HashSet<usize> = skin.joints.iter().map(|joint| joint.value()).collect();
+    // A file may name a node with many children as a joint many times: looking at parents takes one step a joint.
+    let parent = |joint: usize| parents.get(joint).copied().flatten();
+    let is_below = |joint: usize| parent(joint).is_some_and(|own| joints.contains(&own));
+    let uppermost = skin.joints.iter().position(|joint| !is_below(joint.value()));
     let Some(number) = uppermost else { return Ok(None) };
     let node = skin.joints[number].value();
     let Some(asset_from_joint) = asset_from_nodes.get(node).copied().flatten() else {
