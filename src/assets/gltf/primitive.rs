@@ -121,7 +121,8 @@ impl<'a> Primitives<'a> {
             self.paint(geometry, materials.scaled(material, scale));
             return Ok(geometry);
         };
-        let ratio = |own: f64| (own.ln() - scale.ln()).abs();
+        // Zero has no logarithm: equal scales are told apart from others first.
+        let ratio = |own: f64| if own == scale { 0.0 } else { (own.ln() - scale.ln()).abs() };
         let nearest = known.iter().min_by(|a, b| ratio(a.0).total_cmp(&ratio(b.0)));
         let nearest = nearest.copied().unwrap_or((scale, geometry));
         if nearest.0 == scale || known.len() >= MOST_SCALES {

@@ -406,6 +406,14 @@ fn volumes_are_as_thick_as_nodes_scale_them() {
     assert_eq!(found[0], found[2]);
     // The standard excludes it.
     assert_eq!(left(0.0), [[1.0; 3]; 3]);
+    // Bodies without a thickness share a geometry, as others of one scale do.
+    document.json["materials"][0]["extensions"]["KHR_materials_volume"]["attenuationDistance"] =
+        json!(1);
+    let flat = json!({ "mesh": 0, "scale": [1, 1, 0] });
+    document.json["nodes"] = json!([{ "mesh": 0 }, flat, flat]);
+    let asset = document.read().unwrap();
+    assert_eq!(asset.geometries.len(), 2);
+    assert_eq!(asset.placements[1].geometry, asset.placements[2].geometry);
 }
 
 #[test]
