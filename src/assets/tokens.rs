@@ -44,8 +44,8 @@ impl<'a, R: BufRead> Lines<'a, R> {
         Ok(())
     }
 
-    /// Takes carriage returns for the ends of lines, as old Macintosh software writes them, if the begin of the text has them and
-    /// no line feed.
+    /// Takes carriage returns for the ends of lines, as old Macintosh software writes them, if the beginning of the text has
+    /// them and no line feed.
     pub fn end_at_carriage_returns_if_alone(&mut self) -> Result<(), AssetError> {
         let begin = self.reader.fill_buf().map_err(|source| AssetError::io(self.file, source))?;
         // A line feed may follow the last byte.

@@ -111,7 +111,7 @@ fn parent_from_node(node: &Node) -> DAffine3 {
     DAffine3::from_scale_rotation_translation(scale, rotation, translation)
 }
 
-/// The factor of lengths, on average over directions, in steps of 0.07 %: scales that differ by rounding alone are one.
+/// The factor of lengths, as the geometric mean of three axes, in steps of 0.07 %: scales that differ by rounding alone are one.
 fn mean_scale(map: &DAffine3) -> f64 {
     const STEPS: f64 = 1024.0;
     let scale = map.matrix3.determinant().abs().cbrt();
