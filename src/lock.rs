@@ -23,8 +23,8 @@ impl Locked {
 }
 
 impl Drop for Locked {
-    /// Unlocks the file before it is closed. The lock would outlast the closing as long as another process examines the open files of this
-    /// one.
+    /// Unlocks the file before it is closed. Otherwise the lock would outlast the closing while another process, a debugger for example,
+    /// has a duplicate of the open file.
     fn drop(&mut self) {
         // The lock ends with the process in any case.
         let _ = self.0.unlock();
@@ -55,7 +55,7 @@ mod tests {
         let open = || File::open(folder.path()).unwrap();
         let first = Locked::attempt(open()).unwrap().unwrap();
         assert!(Locked::attempt(open()).unwrap().is_none());
-        // Shares the lock, as what examines this process's files does.
+        // A duplicate shares the lock, like one that a debugger takes.
         let shared = first.try_clone().unwrap();
         drop(first);
         assert!(Locked::attempt(open()).unwrap().is_some());

@@ -2,8 +2,9 @@
 
 use std::collections::HashMap;
 use std::fs::File;
+use std::io::{self, Read};
 use std::path::{Component, Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 use std::time::SystemTime;
 
 use glam::DVec3;
@@ -21,7 +22,7 @@ const MOST_KNOWN: usize = 10_000;
 #[derive(Debug, thiserror::Error)]
 pub enum BundleError {
     #[error("{}: {error}", file.display())]
-    Io { file: PathBuf, error: std::io::Error },
+    Io { file: PathBuf, error: io::Error },
     #[error("{}: the file lies outside the root or its name is not Unicode", .0.display())]
     Foreign(PathBuf),
     #[error("the scene has a file with the name `{0}`, which leads out of its folder")]
@@ -40,17 +41,22 @@ type Known = (u64, Option<SystemTime>, String);
 pub struct Hashes(Mutex<HashMap<PathBuf, Known>>);
 
 impl Hashes {
-    /// Returns the length and the hash of a file. A large file takes a while, in which other tasks go on.
+    /// Returns the length and the hash of a file. A large file takes a while, in which other tasks go on. Dropping the future
+    /// ends the reading.
     async fn find(self: Arc<Hashes>, file: PathBuf) -> Result<(u64, String), BundleError> {
         let name = file.clone();
-        let hashed = tokio::task::spawn_blocking(move || self.of(&file)).await;
+        // Lives as long as this future.
+        let wanted = Arc::new(());
+        let is_wanted = Arc::downgrade(&wanted);
+        let hashed = tokio::task::spawn_blocking(move || self.of(&file, is_wanted)).await;
+        drop(wanted);
         hashed
-            .unwrap_or_else(|error| Err(std::io::Error::other(error)))
+            .unwrap_or_else(|error| Err(io::Error::other(error)))
             .map_err(|error| BundleError::Io { file: name, error })
     }
 
-    /// Returns the length and the hash of a file. Blocks.
-    fn of(&self, file: &Path) -> std::io::Result<(u64, String)> {
+    /// Returns the length and the hash of a file while they are wanted. Blocks.
+    fn of(&self, file: &Path, is_wanted: Weak<()>) -> io::Result<(u64, String)> {
         let found = std::fs::metadata(file)?;
         let state = (found.len(), found.modified().ok());
         if let Some((bytes, modified, sha256)) = self.0.lock().get(file)
@@ -58,13 +64,29 @@ impl Hashes {
         {
             return Ok((*bytes, sha256.clone()));
         }
-        let (bytes, sha256) = File::open(file).and_then(manifest::digest)?;
+        let source = Abandonable { source: File::open(file)?, is_wanted };
+        let (bytes, sha256) = manifest::digest(source)?;
         let mut known = self.0.lock();
         if known.len() >= MOST_KNOWN {
             known.clear();
         }
         known.insert(file.to_owned(), (state.0, state.1, sha256.clone()));
         Ok((bytes, sha256))
+    }
+}
+
+/// A file that is read while somebody holds what `is_wanted` points to.
+struct Abandonable {
+    source: File,
+    is_wanted: Weak<()>,
+}
+
+impl Read for Abandonable {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        if self.is_wanted.strong_count() == 0 {
+            return Err(io::Error::other("nobody waits for the file any more"));
+        }
+        self.source.read(buffer)
     }
 }
 
@@ -178,10 +200,28 @@ mod tests {
             std::thread::sleep(std::time::Duration::from_secs(2));
             std::fs::File::options().write(true).open(&slow).unwrap();
         });
+        let began = std::time::Instant::now();
         let packed = pack(here.path(), &files, &hashes, &store);
         let waited = tokio::time::timeout(std::time::Duration::from_millis(50), packed).await;
-        assert!(waited.is_err(), "another task had its turn meanwhile");
+        let took = began.elapsed();
+        assert!(waited.is_err() && took < std::time::Duration::from_secs(1), "{took:?}");
         writer.join().unwrap();
+    }
+
+    /// The device is a file without an end. A runtime waits for its blocking threads when it is shut down.
+    #[cfg(unix)]
+    #[test]
+    fn nothing_reads_a_file_that_nobody_waits_for() {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        let began = std::time::Instant::now();
+        let waited = runtime.block_on(async {
+            let found = Arc::<Hashes>::default().find(PathBuf::from("/dev/zero"));
+            tokio::time::timeout(std::time::Duration::from_millis(50), found).await
+        });
+        assert!(waited.is_err());
+        runtime.shutdown_timeout(std::time::Duration::from_secs(20));
+        let took = began.elapsed();
+        assert!(took < std::time::Duration::from_secs(10), "{took:?}");
     }
 
     #[test]

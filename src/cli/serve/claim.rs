@@ -62,11 +62,11 @@ fn lock(root: &Path, opened: std::io::Result<File>) -> Result<std::io::Result<Cl
         Ok(file) => file,
         Err(error) => return Ok(Err(error)),
     };
-    let number = number(&file);
+    let inode = inode(&file);
     match Locked::attempt(file) {
         Ok(Some(locked)) => Ok(Ok(Claim { _locked: locked })),
         Ok(None) => {
-            let holder = number.and_then(holder).map_or("another process".to_owned(), |id| {
+            let holder = inode.and_then(holder).map_or("another process".to_owned(), |id| {
                 format!("process {id} ({})", name(id).unwrap_or_default())
             });
             Err(Held { holder, root: root.display().to_string() })
@@ -75,29 +75,29 @@ fn lock(root: &Path, opened: std::io::Result<File>) -> Result<std::io::Result<Cl
     }
 }
 
-/// The number of a file or folder in its file system, where `/proc/locks` names files by it.
+/// The inode number of a file or folder, by which `/proc/locks` names it.
 #[cfg(target_os = "linux")]
-fn number(file: &File) -> Option<u64> {
+fn inode(file: &File) -> Option<u64> {
     use std::os::unix::fs::MetadataExt;
     Some(file.metadata().ok()?.ino())
 }
 
 #[cfg(not(target_os = "linux"))]
-fn number(_: &File) -> Option<u64> {
+fn inode(_: &File) -> Option<u64> {
     None
 }
 
 /// The process that holds the lock of a file, if the system tells.
-fn holder(number: u64) -> Option<u32> {
-    lock_owner(&std::fs::read_to_string("/proc/locks").ok()?, number)
+fn holder(inode: u64) -> Option<u32> {
+    lock_owner(&std::fs::read_to_string("/proc/locks").ok()?, inode)
 }
 
 /// Finds the owner of a whole-file lock in `/proc/locks`: `1: FLOCK  ADVISORY  WRITE 42 fe:01:1234 0 EOF`.
-fn lock_owner(locks: &str, number: u64) -> Option<u32> {
+fn lock_owner(locks: &str, inode: u64) -> Option<u32> {
     locks.lines().find_map(|line| {
         let words: Vec<&str> = line.split_whitespace().collect();
         let [_, "FLOCK", _, _, owner, file, ..] = words[..] else { return None };
-        let is_it = file.rsplit(':').next()?.parse() == Ok(number);
+        let is_it = file.rsplit(':').next()?.parse() == Ok(inode);
         is_it.then(|| owner.parse().ok()).flatten()
     })
 }
