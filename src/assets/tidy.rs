@@ -160,6 +160,10 @@ pub(crate) fn finish_mesh(
     file: &str,
     warnings: &mut Vec<String>,
 ) -> Result<Mesh, AssetError> {
+    // Before vertices are taken out, which would change the number that the warning names.
+    if let Some(uvs) = &mut mesh.uvs {
+        finite_uvs(uvs, warnings);
+    }
     let placed: Vec<bool> = mesh.positions.iter().map(|p| p.is_finite()).collect();
     let all_placed = placed.iter().all(|placed| *placed);
     let is_placed =
@@ -222,9 +226,6 @@ pub(crate) fn finish_mesh(
     }
     if !all_placed {
         drop_vertices(&mut mesh, &placed);
-    }
-    if let Some(uvs) = &mut mesh.uvs {
-        finite_uvs(uvs, warnings);
     }
     Ok(mesh)
 }

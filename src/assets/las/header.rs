@@ -15,7 +15,7 @@ const VLR_HEADER_BYTES: u64 = 54;
 /// Header bytes of an extended variable length record, which stands behind the points (LAS 1.4 R15, §2.8).
 const EVLR_HEADER_BYTES: u64 = 60;
 /// Extended records that are looked at.
-const MOST_EXTENDED: u32 = 10_000;
+const MOST_EXTENDED: u32 = 1000;
 const LASZIP_USER_ID: &[u8] = b"laszip encoded";
 const LASZIP_RECORD_ID: u16 = 22204;
 const SPEC_USER_ID: &[u8] = b"LASF_Spec";
