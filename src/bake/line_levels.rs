@@ -188,6 +188,8 @@ fn split_at(vertices: &[Vertex], longest: f32, fields: &Layout) -> Vec<Vertex> {
         let [a, b] = [pair[0], pair[1]];
         split.push(a);
         let parts = (a.to(&b).length() / longest.max(1.0)).ceil().clamp(1.0, 4096.0) as i32;
+        // Classes and gaps of fields change in the middle of a segment: it stays in the middle of a part.
+        let parts = if fields.is_empty() { parts } else { parts | 1 };
         split.extend((1..parts).map(|part| between(&a, &b, (part, parts), fields)));
     }
     split.extend(vertices.last());
@@ -207,8 +209,7 @@ fn between(a: &Vertex, b: &Vertex, (part, parts): (i32, i32), fields: &Layout) -
         // Directions of ribbons are those of the nearer end.
         packed.words[5..LINE_WORDS].copy_from_slice(&b.packed.words[5..LINE_WORDS]);
     }
-    let ends = [(a.packed.values, 1.0 - share), (b.packed.values, share)];
-    packed.values = fields.above(ends.into_iter());
+    packed.values = fields.between([a.packed.values, b.packed.values], share);
     let mix = |a: f32, b: f32| a + (b - a) * share;
     Vertex {
         packed,

@@ -50,7 +50,7 @@ pub struct SceneInfo {
     pub segments: u64,
     pub instances: u64,
     pub assets: Vec<AssetInfo>,
-    /// Scalar fields of its points, which frames can show and picks return.
+    /// Scalar fields of its points and lines, which frames can show and picks return.
     pub fields: Vec<SceneField>,
     /// Bytes that the scene needs on the GPU, and whether it is there now.
     pub gpu_bytes: u64,

@@ -238,7 +238,7 @@ fn check(
     Ok(Checked { view, whole, stereo, exposed, camera, clip })
 }
 
-/// Checks that the scene has the scalar field that colours samples.
+/// Checks that the scene has the scalar field that colours samples and lines.
 fn check_field(loaded: &Loaded, settings: &Settings) -> Result<(), EngineError> {
     let fields = &loaded.info.fields;
     let known: Vec<&str> = fields.iter().map(|field| field.name.as_str()).collect();
@@ -246,9 +246,7 @@ fn check_field(loaded: &Loaded, settings: &Settings) -> Result<(), EngineError> 
         parameter,
         reason,
         accepted: match &known[..] {
-            [] if parameter == "field" => {
-                "no field: the scene's samples have none, and those of lines cannot be shown".into()
-            }
+            [] if parameter == "field" => "no field: the scene has no scalar fields".into(),
             [] => "colors, levels, height, normal, instance: the scene has no scalar fields".into(),
             known => format!("{own}{}", known.join(", ")),
         },

@@ -257,9 +257,8 @@ fn triangle(
     let over = item.item.override_material;
     let is_clear = over.and_then(|over| over.base_color).is_some_and(|color| color[3] < 1.0);
     surface.transmit(&material);
-    let is_glass = own.transmits() || material.transmits();
-    if is_glass && !own.blends() && !is_clear {
-        // Alpha does not say how much it hides, also where the node's material takes its transmission away.
+    if !own.blends() && !is_clear {
+        // Alpha does not say how much it hides, also where an unlit or a Phong material leaves glass no transmission.
         surface.alpha = 1.0;
     }
     if let Some(uvs) = corner_values(&mesh.uvs, corners).filter(|_| own.has_maps()) {

@@ -217,7 +217,7 @@ impl FrameTask {
         as_splats && self.error_mode == ErrorMode::Split
     }
 
-    /// Whether samples have the colours of a scalar field.
+    /// Whether samples and lines have the colours of a scalar field.
     pub fn shows_field(&self) -> bool {
         self.output == Output::Color && matches!(self.recolor, Some(Recolor::Field { .. }))
     }

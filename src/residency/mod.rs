@@ -174,7 +174,7 @@ pub struct ResidentScene {
     pub lights: Buffer,
     /// Blurred images of its surroundings, where it has some.
     pub environment: Option<ResidentEnvironment>,
-    /// Scalar fields of its points, and the table of shaders that shows them.
+    /// Scalar fields of its points and lines, and the table of shaders that shows them.
     pub fields: Vec<SceneField>,
     pub field_table: Buffer,
     /// The page of each segment, in order.

@@ -10,7 +10,7 @@ pub struct SceneField {
     /// Smallest and largest value.
     pub least: f64,
     pub most: f64,
-    /// Values that a colour map shows by default: from the smallest 1st percentile of a cloud to the largest 99th percentile.
+    /// Values that a colour map shows by default: from the smallest 1st percentile of an asset to the largest 99th percentile.
     pub shown: [f64; 2],
     /// For classes, those that points or vertices of lines have.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -255,19 +255,23 @@ fn light_opposite_to_the_eye_makes_no_highlight() {
     assert!(red < 60, "{red}");
 }
 
-/// A node may lay a material over glass that is not lit, or that is one of Phong's model. It lets no light pass then, and its alpha does not
-/// blend, so that nothing behind it shows.
+/// A node may lay an unlit or a Phong material over glass, or glass over an unlit material. No light passes then, and alpha does not blend, so that
+/// nothing behind the surface shows.
 #[test]
 fn glass_is_opaque_under_other_materials() {
-    for (name, over) in [
-        ("glass-unlit-node", json!({ "unlit": true })),
-        ("glass-phong-node", json!({ "shininess": 20 })),
+    let base = json!({ "metallicFactor": 0, "baseColorFactor": [0.2, 0.2, 0.2, 0.4] });
+    let glass = json!({ "extensions": { "KHR_materials_transmission": { "transmissionFactor": 1 } },
+        "pbrMetallicRoughness": base });
+    let unlit =
+        json!({ "extensions": { "KHR_materials_unlit": {} }, "pbrMetallicRoughness": base });
+    for (name, own, over) in [
+        ("glass-unlit-node", &glass, json!({ "unlit": true })),
+        ("glass-phong-node", &glass, json!({ "shininess": 20 })),
+        ("glass-node-unlit", &unlit, json!({ "transmission": 0.5 })),
     ] {
-        let glass = json!({ "extensions": { "KHR_materials_transmission": { "transmissionFactor": 1 } },
-            "pbrMetallicRoughness": { "metallicFactor": 0, "baseColorFactor": [0.2, 0.2, 0.2, 0.4] } });
         let more = json!({ "materials": { "over": over }, "lights": [],
             "nodes": [{ "asset": "m", "material": "over" }], "background": "#ffffff" });
-        let [red, _, _, alpha] = middle(&sheet(name, glass, more));
+        let [red, _, _, alpha] = middle(&sheet(name, own.clone(), more));
         // 124 is the byte of 0.2; with an alpha of 0.4 it would be 214.
         assert!((122..=126).contains(&red) && alpha == 255, "{name}: {red} {alpha}");
     }

@@ -1,7 +1,8 @@
 use glam::{DVec3, IVec3};
 
 use super::*;
-use crate::assets::{Fields, Polylines};
+use crate::assets::fields::Scale;
+use crate::assets::{Field, Fields, Polylines};
 use crate::bake::pack::{PackedChunk, PackedKind, pack_lines};
 use crate::scene::random::SplitMix64;
 
@@ -203,6 +204,43 @@ fn parts_of_a_split_segment_have_dither_keys_of_their_own() {
     // A segment that is not split has the hash of full detail.
     let [link, _] = own.segments[0];
     assert!(keys.contains(&(0, link >> 22)));
+}
+
+/// Classes, and values that one end of a segment lacks, change in its middle, also where levels split the segment.
+#[test]
+fn fields_of_a_split_segment_change_in_its_middle() {
+    let scale = |least, most, has_gaps| Scale { least, step: 1.0, most, has_gaps };
+    let fields = vec![
+        Field { name: "classification".to_owned(), scale: scale(2.0, 3, false), place: 0 },
+        Field { name: "number".to_owned(), scale: scale(0.0, 100, true), place: 2 },
+    ];
+    let is_far = |vertex: u32| vertex > 100;
+    // The class 5 and the number 50, or the class 2 and no number.
+    let words = |vertex: u32| if is_far(vertex) { 3 | 50 << 2 } else { 101 << 2 };
+    // Steps of 1, and one of 47, for which 20 parts would be short enough.
+    let place = |vertex: u32| f64::from(vertex) + if is_far(vertex) { 46.0 } else { 0.0 };
+    let own = Polylines {
+        positions: (0..200).map(|vertex| DVec3::X * place(vertex)).collect(),
+        strands: vec![0, 200],
+        fields: Fields::from_words(fields, (0..200).map(words).collect()),
+        ..Polylines::default()
+    };
+    let packed = line_levels(&pack_lines(&own).unwrap()).unwrap();
+    let full = levels_of(&packed).remove(0);
+    let mut changes = Vec::new();
+    for chunk in &full.chunks {
+        for segment in chunk.elements() {
+            let [a, b] = packed.ends(chunk, segment).unwrap().map(|end| end.position.x);
+            let words = packed.end_values(chunk, segment).unwrap();
+            let values = |field: usize| words.map(|words| packed.fields[field].value(words));
+            if values(0) == [Some(2.0), Some(5.0)] && values(1) == [None, Some(50.0)] {
+                changes.push(0.5 * (a + b));
+            } else {
+                assert!(values(0)[0] == values(0)[1] && values(1)[0] == values(1)[1]);
+            }
+        }
+    }
+    assert!(changes.len() == 1 && (changes[0] - 123.5).abs() < 1e-3, "{changes:?}");
 }
 
 #[test]

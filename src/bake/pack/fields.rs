@@ -1,4 +1,4 @@
-//! Scalar fields of packed samples: where a field's codes are, and how the nodes of trees combine them.
+//! Scalar fields of packed samples and lines: where a field's codes are, and how the nodes of trees and levels of lines combine them.
 
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
@@ -8,14 +8,14 @@ use crate::assets::fields::{CLASSIFICATION, MOST_NAME_BYTES, MOST_WORDS, Scale};
 use crate::assets::{Field, Fields};
 use crate::scene::fields::class_number;
 
-/// The codes of a sample's fields.
+/// The codes of the fields of a sample or of a vertex of a line.
 pub type Values = [u32; MOST_WORDS];
 /// Words of a [`PackedField`].
 pub(super) const FIELD_WORDS: usize = size_of::<PackedField>() / 4;
 /// A colour map shows the values between these fractions of all points by default.
 const SHOWN: [f64; 2] = [0.01, 0.99];
 
-/// A scalar field of packed samples.
+/// A scalar field of packed samples or lines.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct PackedField {
@@ -249,6 +249,22 @@ impl Layout {
         self.0.is_empty()
     }
 
+    /// The values at a share of the way between two vertices of a line: see [`Field::between`].
+    pub(in crate::bake) fn between(&self, [a, b]: [Values; 2], share: f32) -> Values {
+        let mut words = Values::default();
+        for slot in &self.0 {
+            let [from, to] = [a, b].map(|words| words[slot.word] >> slot.shift & slot.mask);
+            let code = if slot.is_class || from.max(to) > slot.most {
+                if share < 0.5 { from } else { to }
+            } else {
+                let (from, to) = (f64::from(from), f64::from(to));
+                (from + (to - from) * f64::from(share)).round() as u32
+            };
+            words[slot.word] |= (code & slot.mask) << slot.shift;
+        }
+        words
+    }
+
     /// The values of a node: the mean of what is below it, by area, and of classes the one with the largest area.
     pub(in crate::bake) fn above(
         &self,
@@ -314,5 +330,18 @@ mod tests {
         let mean: f64 = (2.0 * 10.0 + 20.0 + 150.0) / 4.5;
         assert_eq!(packed[0].value(&above), Some(mean.round()));
         assert_eq!(packed[1].value(&above), Some(5.0));
+    }
+
+    #[test]
+    fn between_vertices_numbers_change_evenly_and_classes_in_the_middle() {
+        let fields =
+            Fields::of_numbers(vec![("value", vec![10, 90]), (CLASSIFICATION, vec![9, 5])]);
+        let packed = pack_fields(&fields);
+        let ends = [0, 1].map(|vertex| values_at(&fields, vertex));
+        for (share, number, class) in [(0.25, 30.0, 9.0), (0.5, 50.0, 5.0), (0.75, 70.0, 5.0)] {
+            let between = Layout::of(&packed).between(ends, share);
+            assert_eq!(packed[0].value(&between), Some(number));
+            assert_eq!(packed[1].value(&between), Some(class));
+        }
     }
 }
