@@ -63,8 +63,8 @@ pub struct Hit {
     pub depth: f64,
     /// World-space unit normal, turned towards the eye; `null` where the sample has none.
     pub normal: Option<[f64; 3]>,
-    /// Values of the scalar fields of a sample. A node of a point tree has the mean of the samples that it stands for, and the class of
-    /// most of them.
+    /// Values of the scalar fields of a sample, or of the place on a line. A node of a point tree has the mean of the samples that it stands
+    /// for, and the class of most of them.
     pub fields: BTreeMap<String, f64>,
     /// sRGB colour without lights. A sample has its own colour, a segment the colour between its vertices, a triangle the product of
     /// vertex colour, material and nearest texel.
