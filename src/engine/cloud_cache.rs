@@ -156,7 +156,7 @@ impl KeptShape {
     }
 }
 
-/// The last number is the field of view of a perspective, or the negative height of an orthographic view.
+/// The bits of a camera's numbers: eye, target, up, and the field of view of a perspective or the negative height of an orthographic view.
 fn camera_bits(c: &Camera) -> [u64; 10] {
     let (eye, target, up) = (c.eye, c.target, c.up);
     let lens = match c.lens {

@@ -201,7 +201,7 @@ fn together(a: GpuStats, b: &GpuStats) -> GpuStats {
         deepest: a.deepest.max(b.deepest),
         splats_wanted: a.splats_wanted.max(b.splats_wanted),
         paint_cut: a.paint_cut.max(b.paint_cut),
-        // Floats that are not negative have the order of their bits.
+        // The bits of floats that are not negative are ordered as the floats are.
         passing_most: a.passing_most.max(b.passing_most),
         // Bounds serve one exposure alone.
         drawn_bounds: a.drawn_bounds,
@@ -219,11 +219,13 @@ mod tests {
             pixels_of_samples: number,
             large_longest: number,
             sums_full: number & 1,
+            passing_most: number,
             ..GpuStats::default()
         };
         let all = counted(&[one(3), one(2), one(7)]);
         assert_eq!(all.samples_tested, [u32::MAX - 2, 14]);
         assert_eq!((all.pixels_of_samples, all.large_longest, all.sums_full), (12, 7, 1));
+        assert_eq!(all.passing_most, 7);
         assert_eq!(counted(&[one(5)]), one(5));
         assert_eq!(counted(&[one(u32::MAX), one(1)]).pixels_of_samples, u32::MAX);
     }

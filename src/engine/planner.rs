@@ -108,8 +108,8 @@ impl Known {
         Known { key, measured, grounds, planner, pace, asked }
     }
 
-    /// What a request may be drawn with. Requests that differ in their goals and their clip boxes alone share an answer, since both change from frame
-    /// to frame.
+    /// Settings that a request may be drawn with. Requests that differ in their goals and their clip boxes alone share an answer, since both change
+    /// from frame to frame.
     fn asked(&self, settings: &Settings) -> Asked {
         let kind = settings.with_some_goal();
         if let Some(known) = self.asked.lock().get(&kind) {

@@ -228,8 +228,8 @@ pub struct TranslucentReceipt {
     /// Pixels with as many surfaces as are kept, through all of which one sees: further ones may be missing. With antialiasing, parts of
     /// pixels.
     pub pixels_of_all_layers: u64,
-    /// Largest share of the light from behind that passes all surfaces of such a pixel, 0 to 1. Compositing of all surfaces in their order
-    /// differs from this frame by at most this much of a linear color channel, for colors up to 1; 0 where no surface is missing.
+    /// Largest share of the light from behind that passes all surfaces of such a pixel, 0 to 1; 0 without such pixels. If colours are at
+    /// most 1, no linear colour channel differs by more than this share from a frame with all surfaces composited in order.
     pub most_left_out: f32,
 }
 

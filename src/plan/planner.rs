@@ -162,7 +162,7 @@ pub struct Alternative {
 }
 
 impl Asked {
-    /// The answer for a request that differs in its goal and its clip boxes alone.
+    /// The answer for a request that differs from the one asked about in its goal and its clip boxes alone.
     #[must_use]
     pub fn clipped_like(&self, settings: &Settings) -> Asked {
         let rows = self.rows.iter().map(|(row, own)| (*row, own.clipped_like(settings)));

@@ -110,10 +110,12 @@ impl fmt::Display for ClipBox {
 
 impl ClipBoxes {
     /// A box without bounds, which shows everything.
-    pub const EVERYTHING: ClipBoxes = ClipBoxes {
-        boxes: [ClipBox { low: DVec3::NEG_INFINITY, high: DVec3::INFINITY, side: Side::Inside };
-            MOST_BOXES],
-        count: 1,
+    pub const EVERYTHING: ClipBoxes = {
+        // Unused boxes are as in boxes that are read from text, since all are compared.
+        let unused = ClipBox { low: DVec3::ZERO, high: DVec3::ZERO, side: Side::Inside };
+        let mut boxes = [unused; MOST_BOXES];
+        boxes[0] = ClipBox { low: DVec3::NEG_INFINITY, high: DVec3::INFINITY, side: Side::Inside };
+        ClipBoxes { boxes, count: 1 }
     };
 
     /// A regular expression that matches every text of boxes, and possibly others.
@@ -211,6 +213,7 @@ mod tests {
         }
         assert_eq!(boxes("inside:-1, 2,*,1,3,*").to_string(), "-1,2,*,1,3,*");
         assert_eq!(boxes("-0,0,0,1,1,1"), boxes("0,0,0,1,1,1"));
+        assert_eq!(boxes(&ClipBoxes::EVERYTHING.to_string()), ClipBoxes::EVERYTHING);
     }
 
     #[test]

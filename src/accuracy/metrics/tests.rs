@@ -122,7 +122,7 @@ fn normal_errors_are_angles() {
     let found = normal_error_deg(&reference, &image).unwrap().unwrap();
     assert_eq!(found.pixels, 3);
     assert!((found.max - 180.0).abs() < 1e-9 && (found.mean - 270.00001 / 3.0).abs() < 1e-9);
-    // What is no number is no normal, and spoils no mean.
+    // Normals that are not finite do not count.
     let broken = [DVec3::NAN, DVec3::Z, DVec3::new(0.0, f64::INFINITY, 0.0), DVec3::Z];
     let found = normal_error_deg(&reference, &broken).unwrap().unwrap();
     assert_eq!((found.pixels, found.max, found.mean), (2, 0.0, 0.0));

@@ -127,7 +127,7 @@ impl BakeService {
         let (id, done) = match state.roster.join(goal.key(&scene)) {
             Joined::Shared(id) => {
                 let done = state.bakes.get_mut(&id).map(|bake| {
-                    // A long bake keeps nothing of those who have left.
+                    // Senders whose tickets were dropped would pile up during a long bake.
                     bake.waiting.retain(|waiting| !waiting.is_closed());
                     bake.waiting.push(sender);
                     bake.work.done.clone()

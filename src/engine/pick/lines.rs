@@ -132,10 +132,10 @@ fn weights([a, b, c]: [DVec3; 3], way: DVec3) -> Option<[f64; 3]> {
 
 /// Returns the vertices of the wanted strands. `lines` are at full detail.
 ///
-/// Segments are sorted by place, so those of a strand may lie in any chunk. Chunks are searched in parallel. Most segments are dismissed by their
-/// number alone, because it lies before or behind all wanted strands.
+/// Segments are sorted by place, so those of a strand may lie in any chunk. Chunks are searched in parallel. A segment whose number lies before
+/// or behind all wanted strands is dismissed without a search.
 pub(super) fn strands(lines: &PackedLines, wanted: &BTreeSet<u32>) -> Strands {
-    // Sorted by the number of the first vertex, as strands are: each with its number and that of its first vertex and of the one behind its last.
+    // The number of each wanted strand, and the numbers of its vertices; both ascend, as in the file.
     let spans: Vec<(u32, Range<u32>)> = wanted
         .iter()
         .filter_map(|&strand| {

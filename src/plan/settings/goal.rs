@@ -38,7 +38,7 @@ impl Settings {
         Settings { budget_ms: 1.0.into(), min_psnr_db: MinPsnr::default(), clip_boxes, ..*self }
     }
 
-    /// The settings with the clip boxes of others.
+    /// The settings with the clip boxes of `other`.
     #[must_use]
     pub fn clipped_like(&self, other: &Settings) -> Settings {
         Settings { clip_boxes: other.clip_boxes, ..*self }
