@@ -185,7 +185,7 @@ pub struct PageKind {
     pub nodes: bool,
     /// Samples have clip lines.
     pub clipped: bool,
-    /// Words of a sample's scalar fields.
+    /// Words of the scalar fields of a sample, or of a vertex of lines.
     pub value_words: u8,
     /// Lines are ribbons.
     pub ribbons: bool,
