@@ -162,13 +162,13 @@ fn every_composition_is_valid() {
     // - Splats: depths as for samples, with and without clip lines; sums by clip lines, width, normals, lights and trees; a
     //   single pass by clip lines, lights, trees and scalar fields. Each of these with a thread per splat (all at once or in turns, with and
     //   without votes), or from a list. Painted splats as a single pass, with a thread per splat, and counted with and without trees.
-    // - Passes over pixels: with and without votes; samples with and without trees and scalar fields; outputs written at once or later,
+    // - Passes over pixels: with and without votes; samples with and without trees; samples and lines with and without scalar fields; outputs written at once or later,
     //   in the latter case with and without maps; triangles also layer by layer.
     // - Wherever light is computed, with and without shadows, and with and without surroundings. The last pass over surfaces also with and without ambient occlusion, which is a pass over pixels.
     // - Level 0 of pull-push: with and without clip lines, trees and scalar fields.
     // - Lists: of everything, or of trees. Others: no choices.
     let (depths, sums, single) = (12, 160, 40);
-    let over_pixels = 2 * 2 * (6 * 2 * 3 + 3 * 2 * 3 + 2 * 3 + 2 * 2 * 2) + 2 + 2;
+    let over_pixels = 2 * 2 * (6 * 2 * 3 + 3 * 2 * 3 + 2 * 2 * 3 + 2 * 2 * 2) + 2 + 2;
     let level_0 = 2 * 2 * 2;
     let lists = 3 * 2;
     let others = 24;
