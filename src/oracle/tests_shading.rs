@@ -6,7 +6,7 @@ use super::color::linear_from_srgb8;
 use super::tests::{camera, item, points, quad, scene};
 use super::visibility::pixel_ray;
 use super::*;
-use crate::assets::{Encoding, Filter, MeshPart, PointCloud, Wrap};
+use crate::assets::{Encoding, Filter, LEAST_ALPHA, MeshPart, PointCloud, Wrap};
 
 /// A square of edge 2 around the origin, facing +z, with the material.
 fn square(material: Option<u32>) -> crate::assets::Mesh {
@@ -282,6 +282,8 @@ fn frames_do_not_depend_on_the_number_of_threads() {
 fn translucent_sheets_lie_over_what_is_behind_them() {
     let glass = |grey: f32, alpha| Material {
         base_color: [grey, grey, grey, alpha],
+        // It blends, as readers say of materials whose alpha does.
+        alpha_cutoff: Some(LEAST_ALPHA),
         translucent: true,
         ..Material::default()
     };
