@@ -299,6 +299,20 @@ fn half_lengths(vertices: &[Vertex]) -> Vec<f32> {
     halves
 }
 
+/// Shares a strand's vertices out among those that stay: calls `add` with the place of one that stays, a vertex, and the share of that vertex
+/// that it stands for. Vertices that are dropped go to both neighbours, by their distances.
+fn share_out(vertices: &[Vertex], stay: &[usize], mut add: impl FnMut(usize, usize, f32)) {
+    for (at, pair) in stay.windows(2).enumerate() {
+        add(at, pair[0], 1.0);
+        for vertex in pair[0] + 1..pair[1] {
+            let share = share_of(&vertices[pair[0]], &vertices[pair[1]], &vertices[vertex]);
+            add(at, vertex, 1.0 - share);
+            add(at + 1, vertex, share);
+        }
+    }
+    add(stay.len() - 1, vertices.len() - 1, 1.0);
+}
+
 /// Gives the vertices that stay the mean radius and colour of what they stand for.
 fn take_over(kept: &mut [Vertex], vertices: &[Vertex], stay: &[usize], error: f32) {
     #[derive(Clone, Copy, Default)]
@@ -311,7 +325,7 @@ fn take_over(kept: &mut [Vertex], vertices: &[Vertex], stay: &[usize], error: f3
     }
     let before = half_lengths(vertices);
     let mut sums = vec![Sum::default(); kept.len()];
-    let mut add = |at: usize, vertex: usize, share: f32| {
+    let add = |at: usize, vertex: usize, share: f32| {
         let (length, own) = (before[vertex] * share, &vertices[vertex]);
         // Strands of a width of 0 have colours, too.
         let weight = length * own.radius.max(1e-6);
@@ -321,15 +335,7 @@ fn take_over(kept: &mut [Vertex], vertices: &[Vertex], stay: &[usize], error: f3
         sum.weight += weight;
         (0..4).for_each(|c| sum.color[c] += weight * own.color[c]);
     };
-    for (at, pair) in stay.windows(2).enumerate() {
-        add(at, pair[0], 1.0);
-        for vertex in pair[0] + 1..pair[1] {
-            let share = share_of(&vertices[pair[0]], &vertices[pair[1]], &vertices[vertex]);
-            add(at, vertex, 1.0 - share);
-            add(at + 1, vertex, share);
-        }
-    }
-    add(stay.len() - 1, vertices.len() - 1, 1.0);
+    share_out(vertices, stay, add);
     let after = half_lengths(kept);
     // The ends of what has shrunk to a point would show more than it did.
     let widest = (0.25 * length_of(kept)).min(0.5 * error);
@@ -347,20 +353,12 @@ fn take_over(kept: &mut [Vertex], vertices: &[Vertex], stay: &[usize], error: f3
 fn take_over_values(kept: &mut [Vertex], vertices: &[Vertex], stay: &[usize], fields: &Layout) {
     let lengths = half_lengths(vertices);
     let mut parts: Vec<Vec<(Values, f32)>> = vec![Vec::new(); kept.len()];
-    let mut add = |at: usize, vertex: usize, share: f32| {
+    let add = |at: usize, vertex: usize, share: f32| {
         let own = &vertices[vertex];
         // As colours do: strands of a width of 0 have values, too.
         parts[at].push((own.packed.values, lengths[vertex] * share * own.radius.max(1e-6)));
     };
-    for (at, pair) in stay.windows(2).enumerate() {
-        add(at, pair[0], 1.0);
-        for vertex in pair[0] + 1..pair[1] {
-            let share = share_of(&vertices[pair[0]], &vertices[pair[1]], &vertices[vertex]);
-            add(at, vertex, 1.0 - share);
-            add(at + 1, vertex, share);
-        }
-    }
-    add(stay.len() - 1, vertices.len() - 1, 1.0);
+    share_out(vertices, stay, add);
     for (vertex, parts) in kept.iter_mut().zip(&parts) {
         vertex.packed.values = fields.above(parts.iter().copied());
     }
