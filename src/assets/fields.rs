@@ -279,10 +279,14 @@ impl Span {
         }
         let most = if has_gaps { u16::MAX - 1 } else { u16::MAX };
         let extent = high - low;
-        let (step, most) = match extent {
-            extent if extent <= f64::from(most) && !is_fraction => (1.0, extent as u16),
-            0.0 => (1.0, 0),
-            extent => (extent / f64::from(most), most),
+        let step = extent / f64::from(most);
+        let (step, most) = if extent <= f64::from(most) && !is_fraction {
+            (1.0, extent as u16)
+        } else if step.is_normal() {
+            (step, most)
+        } else {
+            // The values are equal, or differ by so little that no step between them is a normal number: all have the lowest.
+            (1.0, 0)
         };
         Some(Scale { least: low * factor, step: step * factor, most, has_gaps })
     }

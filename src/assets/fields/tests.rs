@@ -30,6 +30,21 @@ fn whole_numbers_are_exact_and_others_are_near() {
 }
 
 #[test]
+fn values_that_hardly_differ_are_equal() {
+    let tiny = f64::from_bits(1);
+    for values in
+        [[0.0, tiny], [tiny, 4000.0 * tiny], [-f64::MIN_POSITIVE, f64::MIN_POSITIVE], [0.25, 0.25]]
+    {
+        let fields = encoded(vec![column("height", &values)], &mut Vec::new());
+        let [field] = fields.list() else { panic!("{values:?} have no field") };
+        assert_eq!((field.scale.step, field.scale.most), (1.0, 0), "{values:?}");
+        assert_eq!(field.value(fields.at(1)), Some(values[0]));
+    }
+    let fields = encoded(vec![column("height", &[0.25, 0.25 + f64::EPSILON])], &mut Vec::new());
+    assert!(fields.list()[0].scale.step.is_normal());
+}
+
+#[test]
 fn fields_without_information_or_room_are_left_out() {
     let mut warnings = Vec::new();
     let wide = [0.5, 1.0, 7.0];
