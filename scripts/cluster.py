@@ -3,9 +3,11 @@
 
     scripts/cluster.py kills --program target/release/pointillist    # a film that survives random kills
     scripts/cluster.py speed --program target/release/pointillist    # three workers against one process
+    scripts/cluster.py memory --program target/release/pointillist   # a worker's memory over an hour of films
 
 `kills` draws a film with one process and with three workers, kills workers, daemon and broker at random moments
 meanwhile, and compares the checksum of every frame. `speed` compares the times, and measures the broker's round trip.
+`memory` draws films one after the other, and measures the memory of the worker and of the daemon after each.
 Exit status 1 if frames differ or a limit is missed. Needs nats-server (scripts/setup-nats.sh).
 """
 
@@ -24,6 +26,7 @@ import urllib.request
 from pathlib import Path
 
 from processes import Processes, free_port, nats_command, write_wall
+from soaking.machines import Memory
 
 
 class Cluster(Processes):
@@ -52,9 +55,9 @@ class Cluster(Processes):
     def start(self, name):
         self.spawn(name, self.command(name))
 
-    def ask(self, path, body=None):
+    def ask(self, path, body=None, method=None):
         data = None if body is None else json.dumps(body).encode()
-        request = urllib.request.Request(f"http://127.0.0.1:{self.http_port}{path}", data)
+        request = urllib.request.Request(f"http://127.0.0.1:{self.http_port}{path}", data, method=method)
         request.add_header("Content-Type", "application/json")
         try:
             with urllib.request.urlopen(request, timeout=30) as reply:
@@ -211,9 +214,29 @@ def speed(options, cluster):
         sys.exit("cluster: a limit is missed")
 
 
+def memory(options, cluster):
+    for name in ["broker", "daemon", "worker"]:
+        cluster.start(name)
+    cluster.ready()
+    measured, faults = Memory(), []
+    began = time.monotonic()
+    films = 0
+    while time.monotonic() - began < 60 * options.minutes:
+        number = cluster.order()
+        cluster.check(number, cluster.finish(number))
+        cluster.ask(f"/v1/jobs/{number}", method="DELETE")
+        films += 1
+        measured.sample(cluster)
+    print(f"{films} films of {options.frames} frames of {options.size} in {(time.monotonic() - began) / 60:.0f} min")
+    for what, found in measured.judge(lambda kind, text: faults.append(text)):
+        print(f"{what}: {found}")
+    if faults:
+        sys.exit("cluster: " + "; ".join(faults))
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["kills", "speed"])
+    parser.add_argument("what", choices=["kills", "speed", "memory"])
     parser.add_argument("--program", default="target/release/pointillist")
     parser.add_argument("--frames", type=int, default=300)
     parser.add_argument("--size", default="960x720")
@@ -221,13 +244,14 @@ def main():
     parser.add_argument("--workers", type=int, default=3)
     parser.add_argument("--kills", type=int, default=10)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--minutes", type=float, default=60, help="how long `memory` draws films")
     parser.add_argument("--limit", type=float, default=1.1, help="of the ratio of times")
     options = parser.parse_args()
     options.program = str(Path(options.program).resolve())
     with tempfile.TemporaryDirectory(prefix="pointillist-cluster-") as folder:
         cluster = Cluster(options, Path(folder))
         try:
-            {"kills": kills, "speed": speed}[options.what](options, cluster)
+            {"kills": kills, "speed": speed, "memory": memory}[options.what](options, cluster)
         except SystemExit:
             print(cluster.tails(), file=sys.stderr)
             raise

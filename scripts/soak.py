@@ -270,7 +270,7 @@ class Soak:
                     self.world.fault("panic", f"{log.name}: {line}")
 
     def table(self):
-        memory = self.memory.judge(self.world)
+        memory = self.memory.judge(self.world.fault)
         counts = self.world.counts
         for needed in ("frames checked", "frames drawn afresh", "frames on streams", "jobs done", "uploads", "edits", "answered 304", "cycles"):
             if not counts[needed]:

@@ -238,8 +238,8 @@ class Memory:
         third = len(values) // 3
         return (statistics.median(values[-third:]) - statistics.median(values[:third])) / statistics.median(whole)
 
-    def judge(self, world):
-        """Lines of the table; tells the world of growth."""
+    def judge(self, fault):
+        """Lines of the table. `fault` is called with the kind and a text for each process that grew."""
         lines = []
         for (name, pid), samples in self.series.items():
             kib, resident, files = zip(*samples)
@@ -247,12 +247,12 @@ class Memory:
             if growth is None:
                 continue
             limit = FLAT if len(samples) >= ENOUGH else ROUGHLY_FLAT
-            shown = " ".join(f"{value / 1024:.1f}" for value in kib)
+            shown = " ".join(f"{value / 1024:.1f}" for value in kib[::-(-len(kib) // 24)])
             held = statistics.median(resident) / 1024
             lines.append((f"memory of {name} ({pid})", f"{100 * growth:+.2f} % of {held:.0f} MiB, {100 * limit:.0f} % allowed; its own MiB: {shown}"))
             lines.append((f"files of {name} ({pid})", " ".join(map(str, files))))
             if growth > limit:
-                world.fault("growth", f"the memory of {name} grew by {100 * growth:.2f} % of {held:.0f} MiB: {shown} MiB")
+                fault("growth", f"the memory of {name} grew by {100 * growth:.2f} % of {held:.0f} MiB: {shown} MiB")
             if len(samples) >= ENOUGH and self.growth(files, files) > 0.2:
-                world.fault("growth", f"the open files of {name} grew: {files}")
+                fault("growth", f"the open files of {name} grew: {files}")
         return lines
