@@ -636,6 +636,10 @@ fn two_eyes_see_one_scene() {
     let above = of(&["stereo", "--layout", "over-under", "--eye-distance", "0.2"], "d.png");
     assert_eq!(above.dimensions(), (64, 96));
     assert_eq!(above.get_pixel(9, 57), right.get_pixel(9, 9));
+    let near = of(&["stereo", "--eye-distance", "0.2", "--stereo-distance", "0.7"], "g.png");
+    let eye = ["render", "--eye-offset", "0.1", "--stereo-distance", "0.7"];
+    let eye = of(&eye, "h.png");
+    assert!(eye != right && near.get_pixel(64 + 9, 9) == eye.get_pixel(9, 9));
     let red = of(&["stereo", "--layout", "anaglyph"], "e.png");
     assert_eq!(red.dimensions(), (64, 48));
     let told =

@@ -29,23 +29,23 @@ fn composite_layers(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invo
         return;
     }
     let over = covered[place_in(0u, pixel)];
-    // Behind surfaces that hide all but a step of a byte, nothing is missed.
-    if over.a < 1.0 - 1.0 / 512.0 && fragments[place_in(LAYERS - 1u, pixel)].y != 0u {
+    var hidden = vec3<f32>(over.a);
+    if TRANSMITS {
+        hidden = covered[place_in(1u, pixel)].rgb;
+    }
+    let passing = 1.0 - min(hidden.r, min(hidden.g, hidden.b));
+    // Behind surfaces that hide all but half a step of a byte in every channel, nothing is missed.
+    if passing > 1.0 / 512.0 && fragments[place_in(LAYERS - 1u, pixel)].y != 0u {
         let view = pixel / (frame.size_px.x * frame.size_px.y);
-        var passing = 1.0 - over.a;
-        if TRANSMITS {
-            let hidden = covered[place_in(1u, pixel)].rgb;
-            passing = 1.0 - min(hidden.r, min(hidden.g, hidden.b));
-        }
         atomicAdd(&stats[view].pixels_of_all_layers, 1u);
-        atomicMax(&stats[view].passing_most, bitcast<u32>(clamp(passing, 0.0, 1.0)));
+        atomicMax(&stats[view].passing_most, bitcast<u32>(min(passing, 1.0)));
     }
     // What hides nothing may still give off light.
     if over.a <= 0.0 && all(over.rgb <= vec3<f32>(0.0)) {
         return;
     }
     if TRANSMITS {
-        pixels[pixel] = word_through(over, covered[place_in(1u, pixel)].rgb, pixels[pixel]);
+        pixels[pixel] = word_through(over, hidden, pixels[pixel]);
     } else {
         pixels[pixel] = word_over(over, pixels[pixel]);
     }

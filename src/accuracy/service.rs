@@ -31,7 +31,7 @@ use self::unfinished::Unfinished;
 use self::work::Outcome;
 use super::planning;
 use super::poses::{UnknownCamera, of_cameras};
-use super::truth::Finer;
+use super::truth::{Finer, PARTS};
 use crate::engine::{Engine, EngineError, FrameRequest, Pose};
 use crate::memory::Admission;
 use crate::plan::{Output, Reconstruct, Settings};
@@ -73,9 +73,9 @@ pub enum Refusal {
     Empty,
     #[error(transparent)]
     UnknownCamera(#[from] UnknownCamera),
-    /// The frames, or the references that they need, are too large.
+    /// The frames, or the references that they need, are too large: `most` pixels and `side` a side can be asked for.
     #[error("frames of {width}x{height} are too large to measure")]
-    TooLarge { width: u32, height: u32, most: u64 },
+    TooLarge { width: u32, height: u32, most: u64, side: u32 },
     #[error(transparent)]
     Engine(#[from] EngineError),
 }
@@ -182,9 +182,10 @@ impl Surveys {
         let limits = shared.engine.limits();
         if pixels > MOST_PIXELS || Finer::new(largest, &limits).is_none() {
             let [width, height] = wanted.size;
-            let parts = u64::from(super::truth::PARTS.pow(2));
+            let parts = u64::from(PARTS.pow(2));
             let most = MOST_PIXELS.min(limits.max_pixels / parts) / u64::from(times.pow(2));
-            return Err(Refusal::TooLarge { width, height, most });
+            let side = limits.max_side / (PARTS * times);
+            return Err(Refusal::TooLarge { width, height, most, side });
         }
         let admission = shared.engine.admission();
         let needed = pixels * BYTES_PER_PIXEL;

@@ -44,7 +44,7 @@ pub struct AccuracyArgs {
     stability: bool,
     /// Measure the scene for the planner, which chooses settings for --budget-ms and --min-psnr-db; the measurements are kept beside the point
     /// trees once all are made
-    #[arg(long, conflicts_with_all = ["stability", "out", "camera", "path", "repeats", "quick", "oracle"])]
+    #[arg(long, conflicts_with_all = ["stability", "out", "camera", "path", "repeats", "quick", "oracle", "seed", "json"])]
     planner: bool,
     /// Say what one more decibel costs in several scenes: one plot and one table of the reports in these folders
     #[arg(
@@ -52,7 +52,7 @@ pub struct AccuracyArgs {
         value_name = "REPORT",
         num_args = 1..,
         requires = "out",
-        conflicts_with_all = ["stability", "planner", "camera", "path", "size", "repeats", "quick", "oracle"]
+        conflicts_with_all = ["stability", "planner", "camera", "path", "size", "repeats", "quick", "oracle", "seed", "root"]
     )]
     combine: Vec<PathBuf>,
     /// Folder for the report, created if missing: index.html, accuracy.json, .md and .svg, and frames; with --stability
@@ -482,6 +482,20 @@ mod tests {
         assert!(parse(&["s.json", "--repeats", "0"]).is_err());
         let error = run(&parse(&["s.json"]).unwrap()).unwrap_err();
         assert!(error.to_string().contains("-o FOLDER"), "{error}");
+    }
+
+    #[test]
+    fn options_without_an_effect_are_refused() {
+        assert!(parse(&["s.json", "--planner", "--size", "64x36"]).is_ok());
+        for line in [
+            &["s.json", "--planner", "--seed", "2"][..],
+            &["s.json", "--planner", "--json"],
+            &["--combine", "a", "-o", "r", "--seed", "2"],
+            &["--combine", "a", "-o", "r", "--root", "f"],
+        ] {
+            let told = parse(line).unwrap_err().to_string();
+            assert!(told.contains("cannot be used with"), "{line:?}: {told}");
+        }
     }
 
     #[test]

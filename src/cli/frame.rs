@@ -1,6 +1,6 @@
 //! Options that all drawing commands share: how a frame is drawn, whatever it shows.
 
-use anyhow::anyhow;
+use anyhow::{anyhow, ensure};
 use clap::{Args, ValueEnum};
 use glam::DVec3;
 
@@ -154,6 +154,20 @@ impl DrawArgs {
             quality: DEFAULT_QUALITY,
             deadline: None,
         })
+    }
+
+    /// A colour frame for a command that shifts the eye itself: what goes with a shifted eye may be given.
+    ///
+    /// # Errors
+    /// Options contradict each other, or shift the eye.
+    pub fn request_to_shift(&self, pose: Pose) -> anyhow::Result<FrameRequest> {
+        ensure!(
+            self.settings.eye_offset.is_none(),
+            "--eye-offset: this command shifts the eyes itself; --eye-distance says how far"
+        );
+        let settings = Given { eye_offset: Some(1.0), ..self.settings };
+        let shifted = Self { settings, ..*self }.request(pose)?;
+        Ok(FrameRequest { settings: shifted.settings.shifted(0.0), ..shifted })
     }
 }
 

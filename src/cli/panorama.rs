@@ -19,8 +19,9 @@ use super::frame::{DrawArgs, PoseArgs};
 use super::local::{SceneArgs, progress_bar};
 use super::out::say;
 use crate::encode::ImageFormat;
-use crate::engine::{Engine, FrameRequest, Pose};
+use crate::engine::{Engine, EngineError, FrameRequest, Pose};
 use crate::math::{Projection, View};
+use crate::plan::{Reconstruct, Settings};
 use crate::scene::color::{linear_from_srgb, srgb_from_linear};
 
 /// Options of `pointillist panorama`.
@@ -111,6 +112,8 @@ pub fn run(args: PanoramaArgs) -> anyhow::Result<()> {
     let settings = engine.settings_for_all(&asked)?.unwrap_or(drawn.settings);
     let drawn = FrameRequest { settings, ..drawn };
     super::path::bake(&engine, &eye.face(&drawn, &FACES[0], side))?;
+    let settings = alike(&engine, &eye, &drawn, side)?;
+    let drawn = FrameRequest { settings, ..drawn };
     let bar = progress_bar();
     bar.set_message("drawing");
     let mut faces = Vec::with_capacity(FACES.len());
@@ -141,6 +144,34 @@ pub fn run(args: PanoramaArgs) -> anyhow::Result<()> {
         }
     }
     Ok(())
+}
+
+/// The settings with one way to draw samples for all faces.
+///
+/// # Errors
+/// A face is refused, or what it needs cannot be baked.
+fn alike(
+    engine: &Engine,
+    eye: &Eye,
+    drawn: &FrameRequest,
+    side: u32,
+) -> Result<Settings, EngineError> {
+    if !drawn.settings.leaves_drawing_open() {
+        return Ok(drawn.settings);
+    }
+    let way = |face: &Face| -> Result<Reconstruct, EngineError> {
+        Ok(engine.resolve_blocking(eye.face(drawn, face, side))?.settings().reconstruct)
+    };
+    let ways = FACES.iter().map(way).collect::<Result<Vec<Reconstruct>, EngineError>>()?;
+    Ok(drawn.settings.decided(together(&ways)))
+}
+
+/// The way to draw samples that serves all faces: that of all, or splats, which close surfaces at every distance.
+fn together(ways: &[Reconstruct]) -> Reconstruct {
+    match ways {
+        [first, others @ ..] if others.iter().all(|other| other == first) => *first,
+        _ => Reconstruct::Splats,
+    }
 }
 
 /// Refuses faces that are larger than frames may be.
@@ -348,6 +379,15 @@ fn write(path: &Path, size: [u32; 2], rgba: &[[u8; 4]], is_sphere: bool) -> anyh
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn faces_are_drawn_alike() {
+        use Reconstruct::{Points, PullPush, Splats};
+        assert_eq!(together(&[Points; 6]), Points);
+        assert_eq!(together(&[PullPush; 6]), PullPush);
+        assert_eq!(together(&[Points, Points, Splats, Points, Points, Points]), Splats);
+        assert_eq!(together(&[PullPush, Points, Points, Points, Points, Points]), Splats);
+    }
 
     #[test]
     fn faces_are_right_handed_and_cover_all_directions() {

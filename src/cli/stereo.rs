@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, ensure};
+use anyhow::Context;
 use clap::{Args, ValueEnum};
 
 use super::frame::{DrawArgs, PoseArgs};
@@ -60,11 +60,7 @@ const NEAR_SHARE: f64 = 0.02;
 pub fn run(args: StereoArgs) -> anyhow::Result<()> {
     super::local::init_log();
     let format = super::render::format_of(&args.file)?;
-    let request = args.draw.request(args.pose.pose(args.scene.up()))?;
-    ensure!(
-        request.settings.eye_shift().is_none(),
-        "--eye-offset: this command shifts the eyes itself; --eye-distance says how far"
-    );
+    let request = args.draw.request_to_shift(args.pose.pose(args.scene.up()))?;
     let (engine, info) = args.scene.load(|_| ())?;
     for warning in &info.warnings {
         say!("warning: {warning}");

@@ -108,15 +108,15 @@ impl Known {
         Known { key, measured, grounds, planner, pace, asked }
     }
 
-    /// Settings that a request may be drawn with. Requests that differ in their goals and their clip boxes alone share an answer, since both change
-    /// from frame to frame.
+    /// Settings that a request may be drawn with. Requests that differ in their goals, their clip boxes and a slider of the look alone share an answer,
+    /// since these change from frame to frame.
     fn asked(&self, settings: &Settings) -> Asked {
         let kind = settings.with_some_goal();
         if let Some(known) = self.asked.lock().get(&kind) {
-            return known.clipped_like(settings);
+            return known.looking_like(settings);
         }
         let found = self.planner.asked(&kind);
-        let own = found.clipped_like(settings);
+        let own = found.looking_like(settings);
         let mut asked = self.asked.lock();
         if asked.len() >= MOST_ASKED {
             asked.clear();
@@ -454,7 +454,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clip_box_that_moves_is_asked_for_once() {
+    fn clip_boxes_and_sliders_that_move_are_asked_for_once() {
         let known = known(1);
         let asked = |pairs: &[(&str, &str)]| {
             let mut given = Given::default();
@@ -470,6 +470,11 @@ mod tests {
         }
         assert_eq!(asked(&[("budget_ms", "5")]), 2, "nothing is clipped");
         assert_eq!(asked(&[("budget_ms", "7")]), 2);
+        for (number, name) in (3..).zip(["exposure", "edl_strength", "edl_radius_px"]) {
+            for value in ["1.5", "2.5", "3"] {
+                assert_eq!(asked(&[("budget_ms", "5"), (name, value)]), number, "{name}={value}");
+            }
+        }
     }
 
     #[test]

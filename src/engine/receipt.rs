@@ -228,8 +228,8 @@ pub struct TranslucentReceipt {
     /// Pixels with as many surfaces as are kept, through all of which one sees: further ones may be missing. With antialiasing, parts of
     /// pixels.
     pub pixels_of_all_layers: u64,
-    /// Largest share of the light from behind that passes all surfaces of such a pixel, 0 to 1; 0 without such pixels. If colours are at
-    /// most 1, no linear colour channel differs by more than this share from a frame with all surfaces composited in order.
+    /// Largest share of the light from behind that passes all surfaces of such a pixel in any channel, 0 to 1; 0 without such pixels. If colours are at
+    /// most 1, no linear colour channel differs by more than this share, or by more than 1/512, from a frame with all surfaces composited in order.
     pub most_left_out: f32,
 }
 

@@ -38,8 +38,10 @@ pub enum Resolution {
 /// Results of the checks of a request.
 struct Checked {
     view: View,
-    /// The view of the image that the frame is a part of, or the frame's own: what is chosen for one part is chosen for all.
+    /// The view of the image that the frame is a part of, or the frame's own.
     whole: View,
+    /// The same from an unshifted eye. What is chosen for it is chosen for all parts of an image, and for both images of a stereo pair.
+    middle: View,
     /// Distance of what both images of a stereo pair show in the same place, if the frame is one of them.
     stereo: Option<f64>,
     exposed: Exposed,
@@ -141,14 +143,14 @@ fn prepared(
     Ok((request.with_antialias_decided(), planned))
 }
 
-/// The view of a request whose settings are yet to be chosen: they have an antialiasing of their own.
+/// The view by which the settings of a request are chosen: they have an antialiasing of their own, and both eyes have the same.
 fn view_of(
     state: &EngineState,
     loaded: &Loaded,
     request: &FrameRequest,
 ) -> Result<View, EngineError> {
     let settings = Settings { antialias: Antialias::Off, ..request.settings };
-    Ok(check(state, loaded, &FrameRequest { settings, ..request.clone() })?.view)
+    Ok(check(state, loaded, &FrameRequest { settings, ..request.clone() })?.middle)
 }
 
 /// Settings and size of a frame of a moving pose, from the measurements of its scene. The request has the size of the still frame, and a
@@ -235,7 +237,7 @@ fn check(
     let (whole, stereo) = beside.map_or((middle, None), |(view, distance)| (view, Some(distance)));
     let view = shown_part(&whole, request)?;
     let exposed = exposed(loaded, request, &whole)?;
-    Ok(Checked { view, whole, stereo, exposed, camera, clip })
+    Ok(Checked { view, whole, middle, stereo, exposed, camera, clip })
 }
 
 /// Checks that the scene has the scalar field that colours samples and lines.
@@ -336,8 +338,8 @@ fn ground(
     request: &FrameRequest,
 ) -> Result<Ground, EngineError> {
     let checked = check(state, loaded, request)?;
-    let (drawn, full_because) = with_detail(state, loaded, request, &checked.whole);
-    let lacks = goal_of(loaded, &drawn, &checked.whole);
+    let (drawn, full_because) = with_detail(state, loaded, request, &checked.middle);
+    let lacks = goal_of(loaded, &drawn, &checked.middle);
     Ok(Ground { checked, drawn, full_because, lacks })
 }
 
@@ -398,12 +400,12 @@ fn decide(
     loaded: &Arc<Loaded>,
     request: FrameRequest,
     (full_because, planned): (Option<String>, Option<PlannedFrame>),
-    Checked { view, whole, stereo, exposed, camera, clip }: Checked,
+    Checked { view, whole, middle, stereo, exposed, camera, clip }: Checked,
     (model, facts): (Arc<SceneModel>, SceneFacts),
 ) -> ResolvedFrame {
     let adapter = state.adapter();
     let Chosen { settings, auto, provisional } =
-        choose_reconstruction(state, loaded, &request, &facts, &whole);
+        choose_reconstruction(state, loaded, &request, &facts, &middle);
     let settings = exposed.focus.map_or(settings, |focus| settings.focused_at(focus));
     let settings = stereo.map_or(settings, |distance| settings.stereo_from(distance));
     let seen: Vec<View> = [whole].into_iter().chain(exposed.whole).collect();

@@ -371,11 +371,9 @@ fn refused(app: &App, id: &str, refusal: Refusal) -> Problem {
             let at = "cameras";
             Problem::parameter(at, error, "names of `cameras` in GET /v1/scenes/{id}")
         }
-        Refusal::TooLarge { most, .. } => {
-            Problem::new(Kind::OverLimit, format!("w: {text}")).at("w").accepted(format!(
-                "at most {most} pixels, with a quarter of the longest side of frames"
-            ))
-        }
+        Refusal::TooLarge { most, side, .. } => Problem::new(Kind::OverLimit, format!("w: {text}"))
+            .at("w")
+            .accepted(format!("at most {most} pixels and {side} a side")),
         Refusal::Engine(error) => missing(app, id, error.into()),
     }
 }

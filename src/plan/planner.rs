@@ -162,10 +162,10 @@ pub struct Alternative {
 }
 
 impl Asked {
-    /// The answer for a request that differs from the one asked about in its goal and its clip boxes alone.
+    /// The answer for a request that differs from the one asked about in what [`Settings::with_some_goal`] replaces alone.
     #[must_use]
-    pub fn clipped_like(&self, settings: &Settings) -> Asked {
-        let rows = self.rows.iter().map(|(row, own)| (*row, own.clipped_like(settings)));
+    pub fn looking_like(&self, settings: &Settings) -> Asked {
+        let rows = self.rows.iter().map(|(row, own)| (*row, own.looking_like(settings)));
         Asked { rows: rows.collect(), others: self.others.clone() }
     }
 }

@@ -4,8 +4,9 @@ use glam::{DVec2, DVec3};
 use pointillist::engine::{EngineError, FrameRequest, Pose};
 use pointillist::math::{Camera, Lens, View};
 use pointillist::plan::{Output, Reconstruct, Settings};
+use serde_json::json;
 
-use super::studio::{Studio, etag, front, same};
+use super::studio::{Studio, etag, front, same, wall};
 
 fn camera() -> Camera {
     Camera {
@@ -73,6 +74,32 @@ fn an_edge_moves_by_its_parallax() {
         let found = edge(offset, plane);
         assert!((found - expected).abs() <= 1.0, "{offset} {plane}: {found}, not {expected}");
     }
+}
+
+/// What is chosen for the unshifted eye is chosen for both images, even where each shows another part of the scene.
+#[test]
+fn both_images_are_drawn_alike() {
+    let studio = Studio::new();
+    studio.write("dense.ply", wall(40, |_, _| [200; 3]));
+    studio.write("sparse.ply", wall(9, |_, _| [200; 3]));
+    let far = |asset: &str, x: f64| json!({ "asset": asset, "scale": 2, "translate": [x, 0, -36] });
+    studio.load_json(
+        "walls",
+        &json!({
+            "assets": { "dense": { "file": "dense.ply" }, "sparse": { "file": "sparse.ply" } },
+            "nodes": [far("dense", -12.0), far("sparse", 12.0)],
+            "lights": [],
+        }),
+    );
+    let straight = Camera { eye: DVec3::new(0.0, 0.0, 4.0), ..camera() };
+    // The right eye sees the dense wall alone, the left one the sparse wall alone.
+    let drawn = |offset: f64| {
+        let settings = Settings::default().shifted(offset);
+        let pose = Pose::Camera(straight);
+        let request = FrameRequest { pose, settings, ..front("walls", 96, 70) };
+        studio.engine.resolve_blocking(request).unwrap().settings().reconstruct
+    };
+    assert_eq!([-2.0, 0.0, 2.0].map(drawn), [Reconstruct::Splats; 3]);
 }
 
 #[test]

@@ -367,4 +367,8 @@ fn a_measurement_for_the_planner_has_its_own_views() {
     }
     let reply = client.post_json(PLACE, &json!({ "planner": true, "w": 1024, "h": 1024 }));
     assert_eq!(reply.status, 422, "{}", reply.text());
+    // The largest frames have three times the size, and their references four times that: sides of 8192 pixels.
+    let problem = reply.problem();
+    let accepted = problem["accepted"].as_str().unwrap();
+    assert!(accepted.ends_with("and 682 a side"), "{problem}");
 }

@@ -216,6 +216,21 @@ fn more_layers_than_are_kept() {
     assert_eq!(dense.receipt.translucent.unwrap().pixels_of_all_layers, 0);
 }
 
+/// Glass that lets one channel pass is as clear as that channel: the mean of all three is below what counts here.
+#[test]
+fn glass_of_one_channel_counts_by_that_channel() {
+    let blue = json!({ "doubleSided": true,
+        "pbrMetallicRoughness": { "baseColorFactor": [0, 0, 0.5, 1], "metallicFactor": 0 },
+        "extensions": { "KHR_materials_transmission": { "transmissionFactor": 1 } } });
+    let parts: Vec<(Shape, Value)> =
+        (0..12).map(|i| (pane(DVec3::Z * -0.2 * f64::from(i), 0.0), blue.clone())).collect();
+    let frames = case("blue", &parts).draw(&view());
+    let drawn = frames.receipt.translucent.unwrap();
+    assert!(drawn.pixels_of_all_layers > 1000, "{drawn:?}");
+    // Each of the eight panes lets half of the blue pass, and nothing else.
+    assert!((drawn.most_left_out - 0.5f32.powi(8)).abs() < 5e-4, "{drawn:?}");
+}
+
 /// Surfaces whose alpha is 0 are not drawn, and take no layer.
 #[test]
 fn clear_shells_hide_nothing() {

@@ -192,18 +192,20 @@ fn another_look_is_promised_nothing() {
 }
 
 #[test]
-fn requests_that_are_clipped_otherwise_have_the_same_choice() {
+fn requests_that_look_otherwise_have_the_same_choice() {
     let (planner, grounds) = planner();
-    let moved = asked(&[("budget_ms", "1000"), ("clip_boxes", "0,0,0,2,1,1")]);
+    let moved =
+        asked(&[("budget_ms", "1000"), ("clip_boxes", "0,0,0,2,1,1"), ("exposure", "-2.5")]);
     let chosen = |asked: &Asked| {
         let is_clipped = |settings: &Settings| settings.clip_boxes == moved.clip_boxes;
         let goal = moved.goal().unwrap();
         planner.choose(&goal, asked, &grounds[..1], &Paces::default(), is_clipped).unwrap()
     };
     let of_any = planner.asked(&moved.with_some_goal());
-    let shared = chosen(&of_any.clipped_like(&moved));
+    let shared = chosen(&of_any.looking_like(&moved));
     assert_eq!(shared, chosen(&planner.asked(&moved)));
     assert_eq!((shared.settings.clip_boxes, shared.plan.keeps), (moved.clip_boxes, None));
+    assert_eq!(shared.settings.exposure, moved.exposure);
     assert!(shared.plan.because.contains("clip_boxes"), "{}", shared.plan.because);
 }
 

@@ -30,18 +30,34 @@ impl Settings {
         Settings { budget_ms, min_psnr_db, pinned: Pinned::default(), ..*self }
     }
 
-    /// The settings with one goal in place of any other, and with a box that shows everything in place of clip boxes. What may be chosen is the same for
-    /// all goals and for all boxes.
+    /// The settings with one value in place of any other of the goal, the clip boxes, and the numbers of the look that sliders change from frame to
+    /// frame. What may be chosen is the same for all of these values.
     #[must_use]
     pub fn with_some_goal(&self) -> Settings {
-        let clip_boxes = self.clip_boxes.map(|_| ClipBoxes::EVERYTHING);
-        Settings { budget_ms: 1.0.into(), min_psnr_db: MinPsnr::default(), clip_boxes, ..*self }
+        fn some<T: PartialEq + Default + From<f64>>(own: T, other: f64) -> T {
+            if own == T::default() { own } else { other.into() }
+        }
+        Settings {
+            budget_ms: 1.0.into(),
+            min_psnr_db: MinPsnr::default(),
+            clip_boxes: self.clip_boxes.map(|_| ClipBoxes::EVERYTHING),
+            exposure: some(self.exposure, 1.0),
+            edl_strength: some(self.edl_strength, 1.0),
+            edl_radius_px: some(self.edl_radius_px, 2.0),
+            ..*self
+        }
     }
 
-    /// The settings with the clip boxes of `other`.
+    /// The settings with the clip boxes and the numbers of the look of `other`.
     #[must_use]
-    pub fn clipped_like(&self, other: &Settings) -> Settings {
-        Settings { clip_boxes: other.clip_boxes, ..*self }
+    pub fn looking_like(&self, other: &Settings) -> Settings {
+        Settings {
+            clip_boxes: other.clip_boxes,
+            exposure: other.exposure,
+            edl_strength: other.edl_strength,
+            edl_radius_px: other.edl_radius_px,
+            ..*self
+        }
     }
 
     pub(super) fn with_pinned<const N: usize>(self, given: [bool; N]) -> Settings {
