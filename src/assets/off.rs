@@ -59,12 +59,8 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
             uvs: vertices.uvs,
             parts: Vec::new(),
         };
-        match paint.colors() {
-            None => {}
-            Some(_) if mesh.colors.is_some() => {
-                warnings.push("colours of faces are ignored: vertices have colours".to_owned());
-            }
-            Some(colors) => corners::paint(&mut mesh, &colors, file, options)?,
+        if let Some(colors) = paint.colors() {
+            corners::paint(&mut mesh, &colors, file, options, &mut warnings)?;
         }
         Geometry::Mesh(tidy::finish_mesh(mesh, file, &mut warnings)?)
     };
@@ -172,7 +168,7 @@ impl Vertices {
         // Colours of Geomview count to 1, and may be written without a point. Those that count to 255 would be black.
         let counts_to_1 = self.raw_colors.iter().flatten().all(|c| c.is_nan() || *c <= 1.0);
         if self.float_colors || counts_to_1 {
-            return Some(tidy::colors_from_floats(&self.raw_colors, warnings));
+            return Some(tidy::colors_from_floats(&self.raw_colors, "that of vertex", warnings));
         }
         let byte = |color: &[f32; 4]| {
             let [r, g, b, a] = *color;

@@ -273,7 +273,10 @@ impl<'a> Strands<'a> {
         let mut lines = self.lines;
         lines.strands.push(lines.positions.len() as u32);
         match self.paint {
-            Paint::Floats => lines.colors = Some(tidy::colors_from_floats(&self.floats, warnings)),
+            Paint::Floats => {
+                lines.colors =
+                    Some(tidy::colors_from_floats(&self.floats, "that of vertex", warnings))
+            }
             Paint::Direction => color_by_direction(&mut lines),
             Paint::Nothing | Paint::Bytes => {}
         }

@@ -11,8 +11,12 @@ use super::{AssetError, Mesh, PointCloud};
 pub(crate) const MOST_OF_UNIT: f32 = 2.0;
 
 /// Colours as bytes from floats. A file with any channel above [`MOST_OF_UNIT`] counts from 0 to 255, others from 0
-/// to 1; not-a-number becomes white.
-pub(crate) fn colors_from_floats(values: &[[f32; 4]], warnings: &mut Vec<String>) -> Vec<[u8; 4]> {
+/// to 1; not-a-number becomes white. The warning calls the first such colour `first` and its number.
+pub(crate) fn colors_from_floats(
+    values: &[[f32; 4]],
+    first: &str,
+    warnings: &mut Vec<String>,
+) -> Vec<[u8; 4]> {
     let bytes = values.iter().any(counts_to_255);
     let mut bad = Odd::default();
     let colors = values
@@ -29,7 +33,7 @@ pub(crate) fn colors_from_floats(values: &[[f32; 4]], warnings: &mut Vec<String>
     warnings.extend(bad.warning(
         "colour is not a number and is drawn white",
         "colours are not numbers and are drawn white",
-        "that of vertex",
+        first,
     ));
     colors
 }
@@ -278,16 +282,18 @@ mod tests {
     #[test]
     fn float_colours_find_their_scale() {
         let mut warnings = Vec::new();
-        let unit = colors_from_floats(&[[0.5, 0.0, 1.0, f32::NAN]], &mut warnings);
+        let mut colors_from_floats =
+            |values: &[[f32; 4]]| super::colors_from_floats(values, "that of face", &mut warnings);
+        let unit = colors_from_floats(&[[0.5, 0.0, 1.0, f32::NAN]]);
         assert_eq!(unit, [[128, 0, 255, 255]]);
-        let byte = colors_from_floats(&[[200.0, 1.0, 300.0, 7.0]], &mut warnings);
+        let byte = colors_from_floats(&[[200.0, 1.0, 300.0, 7.0]]);
         assert_eq!(byte, [[200, 1, 255, 7]]);
-        let rounded = colors_from_floats(&[[1.000_000_1, 0.5, 1.25, 1.0]], &mut warnings);
+        let rounded = colors_from_floats(&[[1.000_000_1, 0.5, 1.25, 1.0]]);
         assert_eq!(rounded, [[255, 128, 255, 255]], "slightly above 1 is not 1 of 255");
-        assert!(warnings.is_empty());
-        let odd = colors_from_floats(&[[f32::NAN, 0.0, 0.0, 1.0]], &mut warnings);
+        let odd = colors_from_floats(&[[f32::NAN, 0.0, 0.0, 1.0]]);
         assert_eq!(odd, [[255; 4]]);
-        assert_eq!(warnings.len(), 1);
+        let said = "1 colour is not a number and is drawn white; the first is that of face 0";
+        assert_eq!(warnings, [said]);
     }
 
     #[test]

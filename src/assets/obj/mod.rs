@@ -339,7 +339,7 @@ impl<'a> Statements<'a> {
         PointCloud {
             positions: self.positions,
             colors: (!self.colors.is_empty())
-                .then(|| tidy::colors_from_floats(&self.colors, warnings)),
+                .then(|| tidy::colors_from_floats(&self.colors, "that of vertex", warnings)),
             normals: normals.and_then(|normals| tidy::unit_normals(normals, warnings)),
             ..PointCloud::default()
         }

@@ -128,7 +128,7 @@ struct Loom<'a> {
 impl<'a> Loom<'a> {
     fn new(statements: &'a Statements<'a>, warnings: &mut Vec<String>) -> Self {
         let any = |slot: usize| statements.corners.iter().any(|corner| corner[slot] != NONE);
-        let colors = tidy::colors_from_floats(&statements.colors, warnings);
+        let colors = tidy::colors_from_floats(&statements.colors, "that of vertex", warnings);
         let mesh = Mesh {
             uvs: any(1).then(Vec::new),
             normals: any(2).then(Vec::new),
