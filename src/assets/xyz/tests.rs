@@ -107,6 +107,21 @@ fn names_of_columns_may_have_blanks() {
 }
 
 #[test]
+fn text_in_a_column_may_have_blanks() {
+    for text in [
+        "x,y,z,Zone,height above ground\n0,0,1,pine wood,2\n0,0,2, ,7\n",
+        "x,y,z,\"Zone\",height above ground\n0, 0 ,1,\"wood, old pine\",2\n0,0,2,\"\",7\n",
+        "x;y;z;Zone;height above ground;\n0;0;1;pine; 2\n0;0;2,0;two small trees;7;\n",
+    ] {
+        let cloud = cloud_of(text);
+        assert_eq!(cloud.positions, [DVec3::Z, DVec3::Z * 2.0], "{text}");
+        assert_eq!(cloud.values_of("height above ground"), Some(vec![2.0, 7.0]), "{text}");
+    }
+    // Without a header, blanks separate.
+    assert_eq!(cloud_of("1, 2 3\n").positions, [DVec3::new(1.0, 2.0, 3.0)]);
+}
+
+#[test]
 fn other_columns_are_fields() {
     let text = "x,y,z,scalar_Roughness,Zone,above_ground\n0,0,1,0.5,wood,2\n0,0,2,,field,7\n";
     let cloud = cloud_of(text);
