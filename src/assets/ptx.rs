@@ -306,6 +306,8 @@ mod tests {
         let second = points(&asset, 1);
         assert_eq!((second.values_of(INTENSITY), &second.colors), (Some(vec![1.25]), &None));
         assert_eq!(asset.bounds().max, DVec3::new(10.0, 21.0, 33.0));
+        let asset = read_text(&text.replace('\n', "\r")).unwrap();
+        assert_eq!(asset.geometries.len(), 2, "lines may end with carriage returns alone");
     }
 
     #[test]

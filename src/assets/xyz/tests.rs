@@ -22,6 +22,7 @@ fn three_columns_in_every_separator() {
         "1;2;3\n4;5;6\n",
         "# made by hand\n\n1 2 3\n// more\n4 5 6",
         "2\n1 2 3\n4 5 6\n",
+        "x,y,z\r1,2,3\r4,5,6\r",
     ] {
         let cloud = cloud_of(text);
         let expected = [DVec3::new(1.0, 2.0, 3.0), DVec3::new(4.0, 5.0, 6.0)];
