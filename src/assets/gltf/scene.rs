@@ -79,7 +79,8 @@ pub(super) fn walk(
             stack.push((child.value(), asset_from_node));
         }
     }
-    skin::place(&mut drawn.placements, skinned, root, buffers, &asset_from_nodes)?;
+    let (placements, warnings) = (&mut drawn.placements, &mut primitives.warnings);
+    skin::place(placements, skinned, root, buffers, &asset_from_nodes, warnings)?;
     Ok(drawn)
 }
 
