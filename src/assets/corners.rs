@@ -12,14 +12,18 @@ const TWIN_BYTES: u64 = 128;
 /// Bytes that each vertex of the file takes while it gets a value.
 const VERTEX_BYTES: u64 = 24;
 
-/// Gives each triangle one of `colors`, which are as many. The mesh has no colours before.
+/// Gives each triangle one of `colors`, which are as many. Where vertices have colours, a warning says that those count.
 pub(super) fn paint(
     mesh: &mut Mesh,
     colors: &[[u8; 4]],
     file: &str,
     options: &ReadOptions,
+    warnings: &mut Vec<String>,
 ) -> Result<(), AssetError> {
-    mesh.colors = None;
+    if mesh.colors.is_some() {
+        warnings.push("colours of faces are ignored: vertices have colours".to_owned());
+        return Ok(());
+    }
     let of = split(mesh, |triangle, _| colors.get(triangle).copied(), file, options)?;
     mesh.colors = Some(of.into_iter().map(|color| color.flatten().unwrap_or([255; 4])).collect());
     Ok(())
@@ -108,15 +112,20 @@ mod tests {
 
     #[test]
     fn vertices_between_colors_are_split() {
+        let mut warnings = Vec::new();
         let mut mesh = fan();
-        paint(&mut mesh, &[RED, RED, BLUE, BLUE], "a", &ReadOptions::default()).unwrap();
+        paint(&mut mesh, &[RED, RED, BLUE, BLUE], "a", &ReadOptions::default(), &mut warnings)
+            .unwrap();
         assert_eq!(mesh.triangles, [[0, 1, 2], [0, 2, 3], [5, 6, 4], [5, 4, 7]]);
         assert_eq!(mesh.positions[5..], [DVec3::ZERO, -DVec3::X, DVec3::X]);
         assert_eq!(mesh.uvs.unwrap()[5..], [0.0, 3.0, 1.0].map(Vec2::splat));
         let colors = mesh.colors.unwrap();
         assert_eq!(colors, [RED, RED, RED, RED, BLUE, BLUE, BLUE, BLUE]);
         let mut mesh = fan();
-        paint(&mut mesh, &[RED; 4], "a", &ReadOptions::default()).unwrap();
+        paint(&mut mesh, &[RED; 4], "a", &ReadOptions::default(), &mut warnings).unwrap();
+        assert!(warnings.is_empty());
+        paint(&mut mesh, &[BLUE; 4], "a", &ReadOptions::default(), &mut warnings).unwrap();
+        assert_eq!(warnings, ["colours of faces are ignored: vertices have colours"]);
         assert_eq!((mesh.positions.len(), mesh.colors), (5, Some(vec![RED; 5])));
     }
 
@@ -135,7 +144,8 @@ mod tests {
     #[test]
     fn limits_hold() {
         let few = ReadOptions { max_vertices: 6, ..ReadOptions::default() };
-        let error = paint(&mut fan(), &[RED, RED, BLUE, BLUE], "a", &few).unwrap_err();
+        let colors = [RED, RED, BLUE, BLUE];
+        let error = paint(&mut fan(), &colors, "a", &few, &mut Vec::new()).unwrap_err();
         assert!(matches!(error, AssetError::TooLarge { .. }), "{error}");
     }
 }

@@ -1,8 +1,8 @@
 //! Reader for the Object File Format of Geomview: `OFF` with the prefixes `ST`, `C` and `N`, ascii.
 //!
 //! A vertex is a line `x y z [nx ny nz] [r g b [a]] [s t]`, a face `n i₁ … iₙ [colour]`; `#` begins a
-//! comment. Colours are integers to 255 or floats to 1. Colours of faces count where vertices have none. A file without faces is a
-//! point cloud.
+//! comment. Colours are integers to 255 or floats to 1. A vertex or face without one is white where another has one. Colours of faces
+//! count where vertices have none. A file without faces is a point cloud.
 
 use std::io::BufRead;
 use std::ops::Range;
@@ -12,7 +12,7 @@ use glam::{DVec3, Vec2, Vec3};
 
 use super::input::{Input, Origin};
 use super::polygon::Triangulator;
-use super::tokens::{Lines, Tokens, number, shown};
+use super::tokens::{Lines, number, shown};
 use super::warnings::counted;
 use super::{Asset, AssetError, Geometry, Mesh, PointCloud, ReadOptions, corners, tidy};
 
@@ -42,7 +42,7 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
     let header = header(&mut lines, &origin, options)?;
     let mut warnings = Vec::new();
     let vertices = vertices(&mut lines, &header, &origin)?;
-    let colors = vertices.colors(&mut warnings);
+    let colors = vertices.paint.colors();
     let normals = vertices.normals.and_then(|normals| tidy::unit_normals(normals, &mut warnings));
     let geometry = if header.faces == 0 {
         let cloud =
@@ -59,12 +59,8 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
             uvs: vertices.uvs,
             parts: Vec::new(),
         };
-        match paint.colors() {
-            None => {}
-            Some(_) if mesh.colors.is_some() => {
-                warnings.push("colours of faces are ignored: vertices have colours".to_owned());
-            }
-            Some(colors) => corners::paint(&mut mesh, &colors, file, options)?,
+        if let Some(colors) = paint.colors() {
+            corners::paint(&mut mesh, &colors, file, options, &mut warnings)?;
         }
         Geometry::Mesh(tidy::finish_mesh(mesh, file, &mut warnings)?)
     };
@@ -152,33 +148,15 @@ struct Vertices {
     positions: Vec<DVec3>,
     normals: Option<Vec<Vec3>>,
     uvs: Option<Vec<Vec2>>,
-    raw_colors: Vec<[f32; 4]>,
-    /// Whether any channel is written as a float.
-    float_colors: bool,
+    paint: Paint,
 }
 
 impl Vertices {
     fn bytes(&self) -> u64 {
         let normals = self.normals.as_ref().map_or(0, Vec::len);
         let uvs = self.uvs.as_ref().map_or(0, Vec::len);
-        let colors = self.raw_colors.len();
+        let colors = self.paint.raw_colors.len();
         (24 * self.positions.len() + 12 * normals + 8 * uvs + 16 * colors) as u64
-    }
-
-    fn colors(&self, warnings: &mut Vec<String>) -> Option<Vec<[u8; 4]>> {
-        if self.raw_colors.len() != self.positions.len() || self.positions.is_empty() {
-            return None;
-        }
-        // Colours of Geomview count to 1, and may be written without a point. Those that count to 255 would be black.
-        let counts_to_1 = self.raw_colors.iter().flatten().all(|c| c.is_nan() || *c <= 1.0);
-        if self.float_colors || counts_to_1 {
-            return Some(tidy::colors_from_floats(&self.raw_colors, warnings));
-        }
-        let byte = |color: &[f32; 4]| {
-            let [r, g, b, a] = *color;
-            [r as u8, g as u8, b as u8, if a.is_nan() { 255 } else { a as u8 }]
-        };
-        Some(self.raw_colors.iter().map(byte).collect())
     }
 }
 
@@ -209,8 +187,6 @@ fn vertices<R: BufRead>(
                 let reason = format!("property {property}: {} is not a number", shown(token));
                 return Err(AssetError::malformed(file, place(), reason));
             };
-            let colour = values.len() >= fixed;
-            vertices.float_colors |= colour && token.contains(&b'.');
             values.push(value);
         }
         let uv_values = 2 * usize::from(header.has_uvs);
@@ -223,17 +199,16 @@ fn vertices<R: BufRead>(
         if let Some(normals) = &mut vertices.normals {
             normals.push(DVec3::new(values[3], values[4], values[5]).as_vec3());
         }
-        let (rest, uv) = values[fixed..].split_at(values.len() - fixed - uv_values);
-        if let (Some(uvs), [s, t]) = (&mut vertices.uvs, uv) {
+        let uv = values.len() - uv_values;
+        if let (Some(uvs), [s, t]) = (&mut vertices.uvs, &values[uv..]) {
             uvs.push(Vec2::new(*s as f32, (1.0 - t) as f32));
         }
-        // Plain OFF with colours behind the coordinates is common.
-        if let [r, g, b, alpha @ ..] = rest {
-            let alpha = alpha.first().map_or(f32::NAN, |alpha| *alpha as f32);
-            vertices.raw_colors.push([*r as f32, *g as f32, *b as f32, alpha]);
-        } else if header.has_colors {
+        if header.has_colors && uv < fixed + 3 {
             return Err(AssetError::malformed(file, place(), "has no colour"));
         }
+        // Plain OFF with colours behind the coordinates is common.
+        let colors = lines.tokens().skip(fixed).take(uv - fixed);
+        vertices.paint.add(colors, index as usize..index as usize + 1);
     }
     Ok(vertices)
 }
@@ -243,10 +218,10 @@ struct Faces {
     paint: Paint,
 }
 
-/// Colours of faces, as the file has them.
+/// Colours of vertices or of triangles, as the file has them.
 #[derive(Default)]
 struct Paint {
-    /// Empty, or the colour of each triangle; not-a-number where a face has none.
+    /// Empty, or the colour of each element; not-a-number where it has none.
     raw_colors: Vec<[f32; 4]>,
     /// Whether any channel is written as a float.
     are_floats: bool,
@@ -255,8 +230,8 @@ struct Paint {
 }
 
 impl Paint {
-    /// Gives the triangles of a face the colour in the rest of its line.
-    fn face(&mut self, tokens: Tokens, triangles: Range<usize>) {
+    /// Gives elements the colour that these tokens spell.
+    fn add<'t>(&mut self, tokens: impl Iterator<Item = &'t [u8]>, elements: Range<usize>) {
         let mut values = [f32::NAN; 4];
         let mut count = 0;
         for (slot, token) in values.iter_mut().zip(tokens) {
@@ -268,19 +243,18 @@ impl Paint {
         self.mapped += u64::from(count == 1);
         let color = if count < 3 { [f32::NAN; 4] } else { values };
         if count >= 3 || !self.raw_colors.is_empty() {
-            // Faces before the first one with a colour have none.
-            self.raw_colors.resize(triangles.start, [f32::NAN; 4]);
-            self.raw_colors.resize(triangles.end, color);
+            // Elements before the first one with a colour have none.
+            self.raw_colors.resize(elements.start, [f32::NAN; 4]);
+            self.raw_colors.resize(elements.end, color);
         }
     }
 
-    /// The colour of each triangle, white where its face has none; `None` where no face has one.
+    /// The colour of each element, white where it has none; `None` where no element has one.
     fn colors(&self) -> Option<Vec<[u8; 4]>> {
+        // Colours of Geomview count to 1, and may be written without a point. Those that count to 255 would be black.
+        let most = if self.are_floats { tidy::MOST_OF_UNIT } else { 1.0 };
         let mut channels = self.raw_colors.iter().flatten();
-        let count_to_255 = match self.are_floats {
-            true => self.raw_colors.iter().any(tidy::counts_to_255),
-            false => channels.any(|channel| *channel > 1.0),
-        };
+        let count_to_255 = channels.any(|channel| channel.is_finite() && *channel > most);
         let colors = self.raw_colors.iter();
         let colors = colors.map(|color| tidy::color_from_floats(*color, count_to_255));
         (!self.raw_colors.is_empty()).then(|| colors.collect())
@@ -346,7 +320,7 @@ fn faces<R: BufRead>(
             |vertex| positions[vertex as usize],
             |cut| triangles.push(cut.map(|at| ring[at as usize])),
         );
-        paint.face(tokens, begin..triangles.len());
+        paint.add(tokens, begin..triangles.len());
         let count = triangles.len() as u64;
         AssetError::check_limit(file, "triangles", count, options.max_triangles)?;
         meter.reach(12 * count + 16 * paint.raw_colors.len() as u64)?;
@@ -453,6 +427,22 @@ mod tests {
         assert_eq!(mesh.normals.as_ref().unwrap()[0], Vec3::Z);
         assert_eq!(mesh.uvs.as_ref().unwrap()[0], Vec2::new(0.25, 0.0));
         assert_eq!(mesh.colors.as_ref().unwrap()[0], [9, 8, 7, 255]);
+    }
+
+    #[test]
+    fn vertices_without_a_color_are_white_beside_others() {
+        for red in ["255 0 0", "1 0 0", "1.0 0.0 0.0"] {
+            let rows = format!("0 0 0\n1 0 0 {red}\n0 1 0\n");
+            let asset = read(&format!("OFF\n3 1 0\n{rows}3 0 1 2\n")).unwrap();
+            let white = [255; 4];
+            assert_eq!(mesh(&asset).colors, Some(vec![white, [255, 0, 0, 255], white]), "{red}");
+        }
+        let error = read("COFF\n2 0 0\n0 0 0 1 0 0\n1 0 0\n").unwrap_err().to_string();
+        assert_eq!(error, "a.off: vertex 1 (line 4): has no colour");
+        // Texture coordinates are no channels of colours.
+        let textured = read("STCOFF\n1 0 0\n0 0 0 2 1 0 0.5 0.5\n").unwrap();
+        let Geometry::Points(cloud) = &textured.geometries[0] else { panic!("no faces") };
+        assert_eq!(cloud.colors, Some(vec![[2, 1, 0, 255]]));
     }
 
     #[test]

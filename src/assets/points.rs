@@ -11,6 +11,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::fault::interrupt_of;
+use super::tokens::line_end;
 use super::{AssetError, Progress, ReadOptions, tidy};
 use crate::memory::Admission;
 
@@ -100,6 +101,8 @@ pub(super) struct Lines<'a, R> {
     reader: R,
     name: &'a str,
     buffer: Vec<u8>,
+    /// Last byte of a line.
+    end: u8,
     number: u64,
     bytes: u64,
     max_bytes: u64,
@@ -108,7 +111,7 @@ pub(super) struct Lines<'a, R> {
 impl<'a, R: BufRead> Lines<'a, R> {
     pub(super) fn new(reader: R, name: &'a str, options: &ReadOptions) -> Self {
         let max_bytes = options.max_decompressed_bytes;
-        Self { reader, name, buffer: Vec::new(), number: 0, bytes: 0, max_bytes }
+        Self { reader, name, buffer: Vec::new(), end: b'\n', number: 0, bytes: 0, max_bytes }
     }
 
     /// Number of the line that was returned last, from 1.
@@ -127,10 +130,14 @@ impl<'a, R: BufRead> Lines<'a, R> {
     /// A line over 64 KiB, NUL bytes, more bytes than the options allow, anything unreadable.
     pub(super) fn next_line(&mut self) -> Result<Option<&str>, AssetError> {
         self.buffer.clear();
+        if self.number == 0 {
+            let begin = self.reader.fill_buf().map_err(|source| io_error(self.name, source))?;
+            self.end = line_end(begin);
+        }
         self.number += 1;
         let count = (&mut self.reader)
             .take(MAX_LINE_BYTES + 1)
-            .read_until(b'\n', &mut self.buffer)
+            .read_until(self.end, &mut self.buffer)
             .map_err(|source| io_error(self.name, source))?;
         if count == 0 {
             return Ok(None);
@@ -335,6 +342,10 @@ mod tests {
         assert_eq!(lines.next_line().unwrap(), Some("last"));
         assert_eq!(lines.number(), 3);
         assert_eq!(lines.next_line().unwrap(), None);
+        let mut lines = Lines::new("a b\r\rlast".as_bytes(), "t", &options);
+        for line in [Some("a b"), Some(""), Some("last"), None] {
+            assert_eq!(lines.next_line().unwrap(), line, "ends with carriage returns alone");
+        }
         let long = "x".repeat(70_000);
         let error = Lines::new(long.as_bytes(), "t", &options).next_line().unwrap_err();
         assert!(error.to_string().starts_with("t: line 1: "), "{error}");

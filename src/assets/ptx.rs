@@ -3,7 +3,8 @@
 //! Each scan has a header — columns, rows, scanner position, its three axes, and a 4 × 4 matrix that
 //! takes scanner coordinates to the common frame, one **row vector** a line (translation in the last
 //! line) — and then columns · rows lines `x y z intensity [r g b]` in scanner coordinates. `0 0 0`
-//! marks a pulse without return. Every scan becomes a geometry, placed by its matrix.
+//! marks a pulse without return, on a line that may be shorter than the others. Every scan becomes a geometry,
+//! placed by its matrix.
 
 use std::io::BufRead;
 use std::path::Path;
@@ -179,7 +180,9 @@ impl Scan {
                 let place = format!("scan {index}, point {point}: the file ends");
                 return Err(malformed(rows.name, place, reason));
             };
-            let expected = *columns.get_or_insert(count);
+            // A pulse without return has neither intensity nor colour.
+            let is_return = values[..3] != [0.0; 3];
+            let expected = if is_return { *columns.get_or_insert(count) } else { count };
             if count != expected || !matches!(count, 3 | 4 | 6 | 7) {
                 let place = format!("scan {index}, point {point} (line {})", rows.lines.number());
                 let reason = format!("has {count} columns, expected 4 or 7 and the same in a scan");
@@ -306,6 +309,20 @@ mod tests {
         let second = points(&asset, 1);
         assert_eq!((second.values_of(INTENSITY), &second.colors), (Some(vec![1.25]), &None));
         assert_eq!(asset.bounds().max, DVec3::new(10.0, 21.0, 33.0));
+        let asset = read_text(&text.replace('\n', "\r")).unwrap();
+        assert_eq!(asset.geometries.len(), 2, "lines may end with carriage returns alone");
+    }
+
+    #[test]
+    fn pulses_without_return_may_have_fewer_columns() {
+        for pulse in ["0 0 0", "0 0 0 0.5", "0 0 0 0.5 0 0 0"] {
+            let rows = format!("{pulse}\n1 0 0 0.25 255 0 9\n{pulse}\n0 2 0 0.75 0 1 2");
+            let asset = read_text(&scan(&rows, 4)).unwrap();
+            let cloud = points(&asset, 0);
+            assert_eq!(cloud.positions, [DVec3::X, DVec3::Y * 2.0], "{pulse}");
+            assert_eq!(cloud.colors, Some(vec![[255, 0, 9, 255], [0, 1, 2, 255]]), "{pulse}");
+            assert_eq!(cloud.values_of(INTENSITY), Some(vec![0.25, 0.75]), "{pulse}");
+        }
     }
 
     #[test]

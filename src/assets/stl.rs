@@ -47,7 +47,7 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
     let mut mesh =
         Mesh { positions: welded.positions, triangles: welded.triangles, ..Mesh::default() };
     if let Some(colors) = colors {
-        corners::paint(&mut mesh, &colors, &origin.name, options)?;
+        corners::paint(&mut mesh, &colors, &origin.name, options, &mut warnings)?;
     }
     let mesh = tidy::finish_mesh(mesh, &origin.name, &mut warnings)?;
     let mut asset = Asset::single("stl", &origin.name, Geometry::Mesh(mesh));

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::fields::{self, Column};
 use super::input::Origin;
-use super::warnings::counted;
+use super::warnings::{Odd, counted};
 use super::{Asset, AssetError, Geometry, NEUTRAL, Polylines, ReadOptions, tidy};
 use crate::memory::{Admission, Meter};
 
@@ -85,27 +85,6 @@ pub(super) struct Strands<'a> {
     adrift: Odd,
     odd_radii: Odd,
     short: u64,
-}
-
-/// Vertices at fault.
-#[derive(Default)]
-struct Odd {
-    count: u64,
-    first: u64,
-}
-
-impl Odd {
-    fn add(&mut self, vertex: u64) {
-        if self.count == 0 {
-            self.first = vertex;
-        }
-        self.count += 1;
-    }
-
-    fn warning(&self, one: &str, many: &str) -> Option<String> {
-        let text = counted(self.count, one, many)?;
-        Some(format!("{text}; the first is vertex {}", self.first))
-    }
 }
 
 impl<'a> Strands<'a> {
@@ -267,14 +246,17 @@ impl<'a> Strands<'a> {
         warnings.extend(self.adrift.warning(
             "vertex with non-finite coordinates is left out, and its strand is cut there",
             "vertices with non-finite coordinates are left out, and their strands are cut there",
+            "vertex",
         ));
         warnings.extend(self.odd_radii.warning(
             "radius is negative or not a number; 0 is used",
             "radii are negative or not numbers; 0 is used",
+            "that of vertex",
         ));
         warnings.extend(self.odd_normals.warning(
             "normal has no direction and is taken as 0, 0, 1",
             "normals have no direction and are taken as 0, 0, 1",
+            "that of vertex",
         ));
         warnings.extend(counted(
             self.short,
@@ -291,7 +273,10 @@ impl<'a> Strands<'a> {
         let mut lines = self.lines;
         lines.strands.push(lines.positions.len() as u32);
         match self.paint {
-            Paint::Floats => lines.colors = Some(tidy::colors_from_floats(&self.floats, warnings)),
+            Paint::Floats => {
+                lines.colors =
+                    Some(tidy::colors_from_floats(&self.floats, "that of vertex", warnings))
+            }
             Paint::Direction => color_by_direction(&mut lines),
             Paint::Nothing | Paint::Bytes => {}
         }

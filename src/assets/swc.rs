@@ -49,7 +49,9 @@ pub fn read(path: &Path, name: &str, options: &ReadOptions) -> Result<Asset, Ass
 pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetError> {
     let Input { reader, origin } = input;
     let mut warnings = Vec::new();
-    let nodes = nodes(Lines::new(reader, &origin.name), &origin, options, &mut warnings)?;
+    let mut lines = Lines::new(reader, &origin.name);
+    lines.end_at_carriage_returns_if_alone()?;
+    let nodes = nodes(lines, &origin, options, &mut warnings)?;
     let tree = Tree::new(nodes, &origin.name, &mut warnings)?;
     let attributes = Attributes {
         radii: true,

@@ -3,30 +3,20 @@
 
 use glam::{DVec3, Vec2, Vec3};
 
-use super::warnings::counted;
+use super::warnings::{Odd, counted};
 use super::{AssetError, Mesh, PointCloud};
-
-/// How many elements are at fault, and which is the first, counted from 0.
-#[derive(Default)]
-struct Odd {
-    count: u64,
-    first: Option<usize>,
-}
-
-impl Odd {
-    fn count(&mut self, index: usize) {
-        self.count += 1;
-        self.first.get_or_insert(index);
-    }
-}
 
 /// Largest channel of a file whose colours count to 1. Conversions between colour spaces round, and interpolation overshoots; a
 /// file that counts to 255 and has no channel above this is all but black.
 pub(crate) const MOST_OF_UNIT: f32 = 2.0;
 
 /// Colours as bytes from floats. A file with any channel above [`MOST_OF_UNIT`] counts from 0 to 255, others from 0
-/// to 1; not-a-number becomes white.
-pub(crate) fn colors_from_floats(values: &[[f32; 4]], warnings: &mut Vec<String>) -> Vec<[u8; 4]> {
+/// to 1; not-a-number becomes white. The warning calls the first such colour `first` and its number.
+pub(crate) fn colors_from_floats(
+    values: &[[f32; 4]],
+    first: &str,
+    warnings: &mut Vec<String>,
+) -> Vec<[u8; 4]> {
     let bytes = values.iter().any(counts_to_255);
     let mut bad = Odd::default();
     let colors = values
@@ -35,19 +25,16 @@ pub(crate) fn colors_from_floats(values: &[[f32; 4]], warnings: &mut Vec<String>
         .map(|(index, color)| {
             let [r, g, b, _] = *color;
             if !(r.is_finite() && g.is_finite() && b.is_finite()) {
-                bad.count(index);
+                bad.add(index as u64);
             }
             color_from_floats(*color, bytes)
         })
         .collect();
-    if let Some(first) = bad.first {
-        let (one, many) = (
-            "colour is not a number and is drawn white",
-            "colours are not numbers and are drawn white",
-        );
-        let text = counted(bad.count, one, many);
-        warnings.extend(text.map(|text| format!("{text}; the first is that of vertex {first}")));
-    }
+    warnings.extend(bad.warning(
+        "colour is not a number and is drawn white",
+        "colours are not numbers and are drawn white",
+        first,
+    ));
     colors
 }
 
@@ -87,17 +74,16 @@ pub(crate) fn unit_normals(
     let mut any = false;
     for (index, normal) in normals.iter_mut().enumerate() {
         if !normal.is_finite() {
-            bad.count(index);
+            bad.add(index as u64);
         }
         *normal = unit_normal(*normal);
         any |= *normal != Vec3::ZERO;
     }
-    if let Some(first) = bad.first {
-        let count = bad.count;
-        warnings.push(format!(
-            "{count} normals are not numbers and count as unknown; the first is that of vertex {first}"
-        ));
-    }
+    warnings.extend(bad.warning(
+        "normal is not a number and counts as unknown",
+        "normals are not numbers and count as unknown",
+        "that of vertex",
+    ));
     any.then_some(normals)
 }
 
@@ -125,11 +111,17 @@ pub(crate) fn finish_cloud(
         return Err(AssetError::malformed(file, "vertex", "the file holds no vertices"));
     }
     let kept: Vec<bool> = cloud.positions.iter().map(|p| p.is_finite()).collect();
-    let lost = kept.iter().filter(|kept| !**kept).count();
-    if lost == 0 {
+    let mut lost = Odd::default();
+    (0..).zip(&kept).filter(|(_, kept)| !**kept).for_each(|(vertex, _)| lost.add(vertex));
+    let warning = lost.warning(
+        "point with non-finite coordinates is left out",
+        "points with non-finite coordinates are left out",
+        "vertex",
+    );
+    if warning.is_none() {
         return Ok(cloud);
     }
-    if lost == kept.len() {
+    if !kept.contains(&true) {
         return Err(AssetError::malformed(file, "vertex", "no vertex has finite coordinates"));
     }
     retain(&mut cloud.positions, &kept);
@@ -139,13 +131,7 @@ pub(crate) fn finish_cloud(
     keep(&mut cloud.radii, &kept);
     keep(&mut cloud.kernels, &kept);
     keep(&mut cloud.clips, &kept);
-    let first = kept.iter().position(|kept| !kept).unwrap_or(0);
-    let text = counted(
-        lost as u64,
-        "point with non-finite coordinates is left out",
-        "points with non-finite coordinates are left out",
-    );
-    warnings.extend(text.map(|text| format!("{text}; the first is vertex {first}")));
+    warnings.extend(warning);
     Ok(cloud)
 }
 
@@ -234,17 +220,14 @@ pub(crate) fn finish_mesh(
 fn finite_uvs(uvs: &mut [Vec2], warnings: &mut Vec<String>) {
     let mut bad = Odd::default();
     for (index, uv) in uvs.iter_mut().enumerate().filter(|(_, uv)| !uv.is_finite()) {
-        bad.count(index);
+        bad.add(index as u64);
         *uv = Vec2::ZERO;
     }
-    if let Some(first) = bad.first {
-        let (one, many) = (
-            "texture coordinate is not finite and is taken as 0",
-            "texture coordinates are not finite and are taken as 0",
-        );
-        let text = counted(bad.count, one, many);
-        warnings.extend(text.map(|text| format!("{text}; the first is that of vertex {first}")));
-    }
+    warnings.extend(bad.warning(
+        "texture coordinate is not finite and is taken as 0",
+        "texture coordinates are not finite and are taken as 0",
+        "that of vertex",
+    ));
 }
 
 fn has_area(positions: &[DVec3], triangle: &[u32; 3]) -> bool {
@@ -299,16 +282,18 @@ mod tests {
     #[test]
     fn float_colours_find_their_scale() {
         let mut warnings = Vec::new();
-        let unit = colors_from_floats(&[[0.5, 0.0, 1.0, f32::NAN]], &mut warnings);
+        let mut colors_from_floats =
+            |values: &[[f32; 4]]| super::colors_from_floats(values, "that of face", &mut warnings);
+        let unit = colors_from_floats(&[[0.5, 0.0, 1.0, f32::NAN]]);
         assert_eq!(unit, [[128, 0, 255, 255]]);
-        let byte = colors_from_floats(&[[200.0, 1.0, 300.0, 7.0]], &mut warnings);
+        let byte = colors_from_floats(&[[200.0, 1.0, 300.0, 7.0]]);
         assert_eq!(byte, [[200, 1, 255, 7]]);
-        let rounded = colors_from_floats(&[[1.000_000_1, 0.5, 1.25, 1.0]], &mut warnings);
+        let rounded = colors_from_floats(&[[1.000_000_1, 0.5, 1.25, 1.0]]);
         assert_eq!(rounded, [[255, 128, 255, 255]], "slightly above 1 is not 1 of 255");
-        assert!(warnings.is_empty());
-        let odd = colors_from_floats(&[[f32::NAN, 0.0, 0.0, 1.0]], &mut warnings);
+        let odd = colors_from_floats(&[[f32::NAN, 0.0, 0.0, 1.0]]);
         assert_eq!(odd, [[255; 4]]);
-        assert_eq!(warnings.len(), 1);
+        let said = "1 colour is not a number and is drawn white; the first is that of face 0";
+        assert_eq!(warnings, [said]);
     }
 
     #[test]

@@ -44,15 +44,10 @@ impl<'a, R: BufRead> Lines<'a, R> {
         Ok(())
     }
 
-    /// Takes carriage returns for the ends of lines, as old Macintosh software writes them, if the beginning of the text has
-    /// them and no line feed.
+    /// Takes carriage returns for the ends of lines if the beginning of the text has them alone.
     pub fn end_at_carriage_returns_if_alone(&mut self) -> Result<(), AssetError> {
         let begin = self.reader.fill_buf().map_err(|source| AssetError::io(self.file, source))?;
-        // A line feed may follow the last byte.
-        let has_returns = begin.split_last().is_some_and(|(_, rest)| rest.contains(&b'\r'));
-        if has_returns && !begin.contains(&b'\n') {
-            self.end = b'\r';
-        }
+        self.end = line_end(begin);
         Ok(())
     }
 
@@ -128,6 +123,14 @@ impl<'a, R: BufRead> Lines<'a, R> {
     pub fn into_reader(self) -> R {
         self.reader
     }
+}
+
+/// The byte that ends the lines of a text with this beginning: a carriage return, as old Macintosh software writes it, if the
+/// beginning has one and no line feed.
+pub(crate) fn line_end(begin: &[u8]) -> u8 {
+    // A line feed may follow the last byte.
+    let has_returns = begin.split_last().is_some_and(|(_, rest)| rest.contains(&b'\r'));
+    if has_returns && !begin.contains(&b'\n') { b'\r' } else { b'\n' }
 }
 
 fn is_blank(byte: u8) -> bool {

@@ -35,6 +35,28 @@ pub fn counted(count: u64, one: &str, many: &str) -> Option<String> {
     (count > 0).then(|| format!("{count} {}", if count == 1 { one } else { many }))
 }
 
+/// Things at fault: how many there are, and the number of the first.
+#[derive(Default)]
+pub struct Odd {
+    count: u64,
+    first: u64,
+}
+
+impl Odd {
+    pub fn add(&mut self, number: u64) {
+        if self.count == 0 {
+            self.first = number;
+        }
+        self.count += 1;
+    }
+
+    /// A sentence as [`counted`] makes it, which also names the first: `first` and its number. Nothing for none.
+    pub fn warning(&self, one: &str, many: &str, first: &str) -> Option<String> {
+        let text = counted(self.count, one, many)?;
+        Some(format!("{text}; the first is {first} {}", self.first))
+    }
+}
+
 /// Keeps the first warnings of each kind, and counts the others: "… and 312 more like this". Each warning is a subject, which may
 /// be empty, and a text; the subject does not make it another kind.
 pub fn condensed<S: AsRef<str>>(warnings: impl IntoIterator<Item = (S, String)>) -> Vec<String> {
@@ -87,6 +109,19 @@ mod tests {
 
     fn of(texts: impl IntoIterator<Item = String>) -> Vec<String> {
         condensed(texts.into_iter().map(|text| ("", text)))
+    }
+
+    #[test]
+    fn the_first_of_odd_things_is_named() {
+        let mut odd = Odd::default();
+        let warning = |odd: &Odd| odd.warning("normal is odd", "normals are odd", "that of vertex");
+        assert_eq!(warning(&odd), None);
+        odd.add(7);
+        let one = "1 normal is odd; the first is that of vertex 7";
+        assert_eq!(warning(&odd).as_deref(), Some(one));
+        odd.add(9);
+        let many = "2 normals are odd; the first is that of vertex 7";
+        assert_eq!(warning(&odd).as_deref(), Some(many));
     }
 
     #[test]

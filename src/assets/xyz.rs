@@ -13,10 +13,10 @@
 //! | 9 | x y z, colour and normal in either order |
 //!
 //! Other numbers of columns are read group by group in the same way. Blanks, tabs, commas and
-//! semicolons separate columns; where semicolons do, or blanks do and x, y and z have a comma each, the comma is the
-//! decimal sign. Lines that
-//! begin with `#` or `//` are comments (a first one that names x, y and z is a header), a line with
-//! one whole number is a count of points, as PTS has it.
+//! semicolons separate columns. Where a header names columns between commas or semicolons, blanks are part of a
+//! column, and so are separators between double quotes. Where semicolons separate, or blanks do and x, y and z
+//! have a comma each, the comma is the decimal sign. Lines that begin with `#` or `//` are comments (a first one
+//! that names x, y and z is a header), a line with one whole number is a count of points, as PTS has it.
 
 mod layout;
 
@@ -97,8 +97,9 @@ impl Delimiter {
         }
     }
 
-    /// Calls `take` with every column's text, blanks trimmed; a separator at the end adds none.
-    fn split<'l>(self, line: &'l str, take: &mut impl FnMut(&'l str)) {
+    /// Calls `take` with every column's text, blanks trimmed; a separator at the end adds none. Between commas and semicolons, blanks
+    /// separate columns too, unless columns are whole: then they may have blanks, and separators in quotes.
+    fn split<'l>(self, line: &'l str, are_whole: bool, take: &mut impl FnMut(&'l str)) {
         let separator = match self {
             Self::Blank | Self::BlankDecimalComma => {
                 return line.split_ascii_whitespace().for_each(take);
@@ -107,22 +108,19 @@ impl Delimiter {
             Self::Semicolon => ';',
         };
         let line = line.strip_suffix(separator).unwrap_or(line);
+        if are_whole {
+            let mut is_quoted = false;
+            let ends = |letter: char| {
+                is_quoted ^= letter == '"';
+                letter == separator && !is_quoted
+            };
+            return line.split(ends).for_each(|column| take(column.trim()));
+        }
         for piece in line.split(separator) {
             let mut words = piece.split_ascii_whitespace();
             take(words.next().unwrap_or(""));
             words.for_each(&mut *take);
         }
-    }
-
-    /// Calls `take` with every column's name in a header. Between commas and semicolons, a name may have blanks.
-    fn split_names<'l>(self, line: &'l str, take: &mut impl FnMut(&'l str)) {
-        let separator = match self {
-            Self::Blank | Self::BlankDecimalComma => return self.split(line, take),
-            Self::Comma => ',',
-            Self::Semicolon => ';',
-        };
-        let line = line.strip_suffix(separator).unwrap_or(line);
-        line.split(separator).for_each(|name| take(name.trim()));
     }
 
     /// A column as a number; one that is empty is missing, which is not a number but no error.
@@ -149,6 +147,8 @@ struct Table {
     extras: Vec<Vec<f32>>,
     /// Each kept column, when a header names them.
     named: Option<Vec<Kept>>,
+    /// Whether columns are whole between commas or semicolons, as in the header.
+    are_whole: bool,
     /// For each column of the file where it goes: 0, 1, 2 for x, y, z, then `extras`.
     targets: Vec<Option<usize>>,
     delimiter: Option<Delimiter>,
@@ -193,11 +193,12 @@ impl Table {
     fn header(&mut self, line: &str) -> bool {
         let delimiter = Delimiter::of(line);
         let mut roles = Vec::new();
-        delimiter.split_names(line, &mut |name| roles.push(Kept::named(name)));
-        if layout::position(&roles).is_none() {
+        delimiter.split(line, true, &mut |name| roles.push(Kept::named(name)));
+        self.are_whole = layout::position(&roles).is_some();
+        if !self.are_whole {
             // Blanks beside commas separate columns, too.
             roles.clear();
-            delimiter.split(line, &mut |token| roles.push(Kept::named(token)));
+            delimiter.split(line, false, &mut |token| roles.push(Kept::named(token)));
         }
         let Some(position) = layout::position(&roles).filter(|_| roles.len() <= MAX_COLUMNS) else {
             return false;
@@ -227,7 +228,7 @@ impl Table {
         self.delimiter = Some(delimiter);
         if self.targets.is_empty() {
             let mut columns = 0;
-            delimiter.split(line, &mut |_| columns += 1);
+            delimiter.split(line, false, &mut |_| columns += 1);
             if !(3..=MAX_COLUMNS).contains(&columns) {
                 return Err(malformed(
                     name,
@@ -250,7 +251,7 @@ impl Table {
             let kept = named.zip(target.checked_sub(3)).and_then(|(named, at)| named.get(at));
             kept.is_some_and(Kept::is_optional)
         };
-        delimiter.split(line, &mut |token| {
+        delimiter.split(line, self.are_whole, &mut |token| {
             if let Some(&Some(target)) = targets.get(column) {
                 match delimiter.number(token) {
                     Some(value) => row[target] = value,

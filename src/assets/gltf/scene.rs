@@ -64,9 +64,7 @@ pub(super) fn walk(
                 let place = format!("nodes[{index}]");
                 buffers.keep(&place, PLACEMENT_COST.saturating_mul(geometries.len() as u64))?;
                 let asset_from_geometry = asset_from_mesh * local;
-                let scale = mean_scale(&asset_from_geometry);
                 for &geometry in &geometries {
-                    let geometry = primitives.scaled(geometry, scale, &place, materials)?;
                     let name = name.clone();
                     drawn.placements.push(Placement { name, geometry, asset_from_geometry });
                 }
@@ -79,7 +77,13 @@ pub(super) fn walk(
             stack.push((child.value(), asset_from_node));
         }
     }
-    skin::place(&mut drawn.placements, skinned, root, buffers, &asset_from_nodes)?;
+    let (placements, warnings) = (&mut drawn.placements, &mut primitives.warnings);
+    skin::place(placements, skinned, root, buffers, &asset_from_nodes, warnings)?;
+    // Skinned meshes have their scale only now.
+    for Placement { name, geometry, asset_from_geometry } in &mut drawn.placements {
+        let scale = mean_scale(asset_from_geometry);
+        *geometry = primitives.scaled(*geometry, scale, name, materials)?;
+    }
     Ok(drawn)
 }
 

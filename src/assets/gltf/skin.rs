@@ -10,13 +10,14 @@ use glam::{DAffine3, DMat4};
 use super::super::{AssetError, Placement};
 use super::buffers::Buffers;
 
-/// Places skinned meshes: ranges of `placements`, each with the number of its skin.
+/// Places skinned meshes: ranges of `placements`, each with the number of its skin. Those of a skin without a usable joint stand as they are.
 pub(super) fn place(
     placements: &mut [Placement],
     skinned: Vec<(Range<usize>, usize)>,
     root: &Root,
     buffers: &Buffers,
     asset_from_nodes: &[Option<DAffine3>],
+    warnings: &mut Vec<String>,
 ) -> Result<(), AssetError> {
     if skinned.is_empty() {
         return Ok(());
@@ -27,7 +28,16 @@ pub(super) fn place(
         let asset_from_mesh = match known.get(&skin) {
             Some(&asset_from_mesh) => asset_from_mesh,
             None => {
-                let found = by_uppermost_joint(skin, root, buffers, asset_from_nodes, &parents)?;
+                let found = by_uppermost_joint(skin, root, buffers, asset_from_nodes, &parents);
+                let found = match found {
+                    Err(AssetError::Malformed { place, reason, .. }) => {
+                        warnings.push(format!(
+                            "skins[{skin}]: its meshes stand as they are stored, because its matrices cannot be read: {place}: {reason}"
+                        ));
+                        None
+                    }
+                    found => found?,
+                };
                 let found = found.unwrap_or(DAffine3::IDENTITY);
                 known.insert(skin, found);
                 found

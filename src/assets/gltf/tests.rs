@@ -414,6 +414,13 @@ fn volumes_are_as_thick_as_nodes_scale_them() {
     let asset = document.read().unwrap();
     assert_eq!(asset.geometries.len(), 2);
     assert_eq!(asset.placements[1].geometry, asset.placements[2].geometry);
+    // Joints scale a skinned mesh, and its own node does not.
+    document.json["nodes"] = json!([{ "mesh": 0, "skin": 0, "scale": [9, 9, 9] }, { "scale": [0.00025, 0.00025, 0.00025] }]);
+    document.json["skins"] = json!([{ "joints": [1] }]);
+    let asset = document.read().unwrap();
+    let part = mesh(&asset, asset.placements[0].geometry).parts[0];
+    let left = asset.materials[part.material.unwrap() as usize].physical.unwrap().volume;
+    assert!((left[0] - 0.5).abs() < 1e-3, "{left:?}");
 }
 
 #[test]

@@ -44,6 +44,7 @@ impl Statements<'_> {
     /// The strands; `None` where the file has no line elements, or has faces and no line element with two vertices.
     pub(super) fn strands(
         &self,
+        colors: Option<&[[u8; 4]]>,
         origin: &Origin,
         options: &ReadOptions,
         warnings: &mut Vec<String>,
@@ -51,7 +52,7 @@ impl Statements<'_> {
         if self.line_elements.is_empty() {
             return Ok(None);
         }
-        let paint = if self.colors.is_empty() { Paint::Nothing } else { Paint::Floats };
+        let paint = if colors.is_some() { Paint::Bytes } else { Paint::Nothing };
         let attributes = Attributes { paint, ..Attributes::nothing() };
         let mut strands = Strands::new(origin, options, attributes);
         strands.reserve(self.line_elements.vertices.len())?;
@@ -67,8 +68,8 @@ impl Statements<'_> {
                     let place = format!("line element {element} (line {line})");
                     return Err(AssetError::malformed(self.file, place, reason));
                 };
-                let color = self.colors.get(at).copied().unwrap_or_default();
-                strands.vertex(Vertex { color, ..Vertex::at(position) })?;
+                let color = colors.and_then(|colors| colors.get(at).copied()).unwrap_or_default();
+                strands.vertex(Vertex { color: color.map(f32::from), ..Vertex::at(position) })?;
             }
             strands.cut()?;
             begin = end;

@@ -32,6 +32,8 @@ const NAME_BYTES: usize = 192;
 const CORNER_BYTES: u64 = 96;
 /// In a corner: this vertex has no such attribute. In a face: it has no material.
 const NONE: u32 = u32::MAX;
+/// The colour of a vertex that has none in a file that has colours.
+const UNCOLORED: [f32; 4] = [-1.0; 4];
 
 /// Reads the file at `path`, gzipped or not; `name` begins every error.
 ///
@@ -80,7 +82,7 @@ struct Statements<'a> {
     max_vertices: u64,
     max_triangles: u64,
     positions: Vec<DVec3>,
-    /// Empty, or as long as `positions`; white where a vertex has none.
+    /// Empty, or as long as `positions`; [`UNCOLORED`] where a vertex has none.
     colors: Vec<[f32; 4]>,
     uvs: Vec<Vec2>,
     normals: Vec<Vec3>,
@@ -211,12 +213,12 @@ impl<'a> Statements<'a> {
         // One value more is a weight, three a colour, four a colour with alpha.
         if count >= 3 {
             if self.colors.is_empty() {
-                self.colors.resize(self.positions.len(), [1.0, 1.0, 1.0, f32::NAN]);
+                self.colors.resize(self.positions.len(), UNCOLORED);
             }
             let alpha = if count == 4 { rest[3] } else { f32::NAN };
             self.colors.push([rest[0], rest[1], rest[2], alpha]);
         } else if !self.colors.is_empty() {
-            self.colors.push([1.0, 1.0, 1.0, f32::NAN]);
+            self.colors.push(UNCOLORED);
         }
         self.positions.push(position);
         Ok(())
@@ -286,11 +288,13 @@ impl<'a> Statements<'a> {
         ] {
             warnings.extend(counted(count, one, many));
         }
-        let strands = self.strands(origin, options, &mut warnings)?.map(Geometry::Lines);
+        let colors = self.vertex_colors(&mut warnings);
+        let strands =
+            self.strands(colors.as_deref(), origin, options, &mut warnings)?.map(Geometry::Lines);
         let (mut asset, strands) = match (self.faces.is_empty(), strands) {
             (true, Some(strands)) => (Asset::single("obj", &origin.name, strands), None),
             (true, None) => {
-                let cloud = self.into_cloud(&mut warnings);
+                let cloud = self.into_cloud(colors, &mut warnings);
                 let cloud = tidy::finish_cloud(cloud, &origin.name, &mut warnings)?;
                 (Asset::single("obj", &origin.name, Geometry::Points(cloud)), None)
             }
@@ -299,7 +303,7 @@ impl<'a> Statements<'a> {
                 let corners = self.corners.len() as u64;
                 options.admission.grow(&origin.name, corners * CORNER_BYTES)?;
                 let is_unnamed = self.libraries.is_empty() && !self.uvs.is_empty();
-                let (mesh, used) = self.weave(&mut warnings)?;
+                let (mesh, used) = self.weave(colors.unwrap_or_default(), &mut warnings)?;
                 if is_unnamed
                     && let Some(image) = origin.folder.as_ref().and_then(|folder| folder.image())
                 {
@@ -333,13 +337,20 @@ impl<'a> Statements<'a> {
         Ok(asset)
     }
 
-    fn into_cloud(self, warnings: &mut Vec<String>) -> PointCloud {
+    /// The colour of each vertex, white where it has none; `None` where no vertex has one.
+    fn vertex_colors(&self, warnings: &mut Vec<String>) -> Option<Vec<[u8; 4]>> {
+        let mut colors = tidy::colors_from_floats(&self.colors, "that of vertex", warnings);
+        let own = colors.iter_mut().zip(&self.colors);
+        own.filter(|(_, own)| **own == UNCOLORED).for_each(|(color, _)| *color = [255; 4]);
+        (!colors.is_empty()).then_some(colors)
+    }
+
+    fn into_cloud(self, colors: Option<Vec<[u8; 4]>>, warnings: &mut Vec<String>) -> PointCloud {
         let count = self.positions.len();
         let normals = (self.normals.len() == count).then_some(self.normals);
         PointCloud {
             positions: self.positions,
-            colors: (!self.colors.is_empty())
-                .then(|| tidy::colors_from_floats(&self.colors, warnings)),
+            colors,
             normals: normals.and_then(|normals| tidy::unit_normals(normals, warnings)),
             ..PointCloud::default()
         }

@@ -105,6 +105,25 @@ fn colours_and_utm_coordinates() {
 }
 
 #[test]
+fn vertices_without_a_color_are_white_however_others_count() {
+    let vertices = "v 0 0 0\nv 1 0 0 200 100 0\nv 0 1 0\n";
+    let expected = Some(vec![[255; 4], [200, 100, 0, 255], [255; 4]]);
+    for elements in ["", "l 1 2 3\n", "f 1 2 3\n"] {
+        let asset = read(&format!("{vertices}{elements}")).unwrap();
+        let colors = match &asset.geometries[0] {
+            Geometry::Points(cloud) => &cloud.colors,
+            Geometry::Lines(lines) => &lines.colors,
+            Geometry::Mesh(mesh) => &mesh.colors,
+        };
+        assert_eq!(*colors, expected, "{elements:?}");
+        assert!(asset.warnings.is_empty(), "{:?}", asset.warnings);
+    }
+    let odd = format!("{vertices}v 1 1 0 nan 0 0\nf 1 2 3\nl 1 2\n");
+    let said = "1 colour is not a number and is drawn white; the first is that of vertex 3";
+    assert_eq!(read(&odd).unwrap().warnings, [said], "once for triangles and lines");
+}
+
+#[test]
 fn without_faces_it_is_a_cloud() {
     let asset = read("v 0 0 0\nvn 0 0 1\nv 1 2 3\nvn 0 2 0\np 1 2\n").unwrap();
     let Geometry::Points(cloud) = &asset.geometries[0] else { panic!("a mesh") };

@@ -10,16 +10,17 @@ use super::super::{AssetError, Mesh, MeshPart, tidy};
 use super::{NONE, Statements};
 
 impl Statements<'_> {
-    /// The mesh, and the names of the materials that its parts refer to, in order.
+    /// The mesh, and the names of the materials that its parts refer to, in order. Without `colors`, vertices have none.
     pub(super) fn weave(
         &self,
+        colors: Vec<[u8; 4]>,
         warnings: &mut Vec<String>,
     ) -> Result<(Mesh, Vec<String>), AssetError> {
         // Every corner may become a vertex, and vertices have 32-bit numbers.
         let corners = self.corners.len() as u64;
         AssetError::check_limit(self.file, "face corners", corners, u64::from(NONE))?;
         self.check_corners()?;
-        let mut loom = Loom::new(self, warnings);
+        let mut loom = Loom::new(self, colors);
         let mut triangulator = Triangulator::default();
         let mut ring: Vec<u32> = Vec::new();
         let mut used = Vec::new();
@@ -126,9 +127,8 @@ struct Loom<'a> {
 }
 
 impl<'a> Loom<'a> {
-    fn new(statements: &'a Statements<'a>, warnings: &mut Vec<String>) -> Self {
+    fn new(statements: &'a Statements<'a>, colors: Vec<[u8; 4]>) -> Self {
         let any = |slot: usize| statements.corners.iter().any(|corner| corner[slot] != NONE);
-        let colors = tidy::colors_from_floats(&statements.colors, warnings);
         let mesh = Mesh {
             uvs: any(1).then(Vec::new),
             normals: any(2).then(Vec::new),

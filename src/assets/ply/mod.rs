@@ -5,10 +5,12 @@
 //! triangles. A file without faces is a point cloud; `range_grid`, the raster of a raw range scan,
 //! adds nothing to its points. Header lines that are not part of the format, which scanner software writes, are
 //! ignored with a warning, unless they look like damage. Colours are taken as sRGB whatever their type, texture coordinates
-//! with their origin at the bottom left; those of faces' corners count before those of vertices. Gaussian splats in PLY's
+//! with their origin at the bottom left; those of faces' corners count before those of vertices. Colours of faces count where vertices
+//! have none. Gaussian splats in PLY's
 //! clothing are refused.
 
 mod body;
+mod colors;
 mod header;
 mod vertices;
 
@@ -21,6 +23,7 @@ use std::path::Path;
 use glam::{DVec3, Vec2};
 
 use self::body::{Body, Row, Wanted};
+use self::colors::FaceColors;
 use self::header::{Element, Header, Kind};
 pub(super) use self::vertices::Facts;
 use self::vertices::Vertices;
@@ -74,8 +77,10 @@ pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetErro
         triangulator: Triangulator::default(),
         rings: Vec::new(),
         ring_lengths: Vec::new(),
+        ring_faces: Vec::new(),
         ring_uvs: Vec::new(),
         corner_uvs: Vec::new(),
+        face_colors: FaceColors::nothing(),
         max_triangles: options.max_triangles,
         meter,
         short_faces: 0,
@@ -246,10 +251,13 @@ struct Parts<'a> {
     /// Polygons that came before the vertices they need for being cut.
     rings: Vec<u32>,
     ring_lengths: Vec<u32>,
+    /// The number of each ring's face among those with a colour.
+    ring_faces: Vec<u32>,
     /// Texture coordinates beside `rings`, up to the last one that has them.
     ring_uvs: Vec<Vec2>,
     /// Texture coordinates beside `triangles`, up to the last one that has them.
     corner_uvs: Vec<[Vec2; 3]>,
+    face_colors: FaceColors,
     max_triangles: u64,
     meter: Meter<'a>,
     short_faces: u64,
@@ -276,6 +284,9 @@ impl Parts<'_> {
             "face" if element.count > 0 => {
                 let mut wanted = self.begin_faces(element)?;
                 wanted.numbers = element.list(&CORNER_UVS);
+                if !self.face_colors.ask(element, &mut wanted) {
+                    self.warnings.push("colours of a second list of faces are ignored".to_owned());
+                }
                 let reserved = origin.reserve(element.count);
                 self.meter.reach_exactly(self.bytes() + 12 * reserved as u64)?;
                 self.triangles.reserve(reserved);
@@ -283,6 +294,9 @@ impl Parts<'_> {
             }
             "tristrips" if element.count > 0 => {
                 let wanted = self.begin_faces(element)?;
+                if colors::properties(element)[0].is_some() {
+                    self.warnings.push("colours of triangle strips are ignored".to_owned());
+                }
                 body.each(element, &wanted, |index, row| self.strip(element, index, &row.list))?;
             }
             name => {
@@ -298,9 +312,6 @@ impl Parts<'_> {
     fn begin_faces(&mut self, element: &Element) -> Result<Wanted, AssetError> {
         AssetError::check_limit(self.file, "faces", element.count, self.max_triangles)?;
         self.have_faces = true;
-        if element.scalar(&["red", "diffuse_red", "color_0"]).is_some() {
-            self.warnings.push("colours of faces are ignored".to_owned());
-        }
         index_list(element, self.file)
     }
 
@@ -335,6 +346,10 @@ impl Parts<'_> {
                 uvs: vertices.uvs,
                 parts: Vec::new(),
             };
+            let triangles = mesh.triangles.len();
+            if let Some(colors) = self.face_colors.of_triangles(triangles, &mut warnings) {
+                corners::paint(&mut mesh, &colors, self.file, options, &mut warnings)?;
+            }
             if !self.corner_uvs.is_empty() {
                 corners::place_textures(&mut mesh, &self.corner_uvs, self.file, options)?;
             }
@@ -360,6 +375,7 @@ impl Parts<'_> {
 
     fn face(&mut self, element: &Element, index: u64, row: &Row) -> Result<(), AssetError> {
         let list = row.list.as_slice();
+        let face = self.face_colors.push(&row.values);
         let (numbers, _) = row.numbers.as_chunks::<2>();
         // The lists of faces without a texture are empty.
         let has_uvs = !list.is_empty() && numbers.len() == list.len();
@@ -375,6 +391,7 @@ impl Parts<'_> {
                 self.corner_uvs.resize(self.triangles.len(), NO_UVS);
                 self.corner_uvs.push([uv(0), uv(1), uv(2)]);
             }
+            self.face_colors.give(face, self.triangles.len());
             self.triangles.push(triangle);
             return self.check_triangles();
         }
@@ -393,6 +410,7 @@ impl Parts<'_> {
             self.ring_uvs.truncate(from);
         } else {
             self.ring_lengths.push(list.len() as u32);
+            self.ring_faces.push(face);
             if self.have_vertices {
                 self.cut_rings()?;
             }
@@ -404,7 +422,8 @@ impl Parts<'_> {
     fn bytes(&self) -> u64 {
         self.vertices.len() as u64 * self.vertices.bytes_each()
             + 12 * self.triangles.len() as u64
-            + 4 * (self.rings.len() + self.ring_lengths.len()) as u64
+            + 4 * (self.rings.len() + self.ring_lengths.len() + self.ring_faces.len()) as u64
+            + self.face_colors.bytes()
             + 24 * self.corner_uvs.len() as u64
             + 8 * self.ring_uvs.len() as u64
     }
@@ -440,16 +459,18 @@ impl Parts<'_> {
     fn cut_rings(&mut self) -> Result<(), AssetError> {
         let positions = &self.vertices.positions;
         let mut from = 0;
-        for &length in &self.ring_lengths {
+        for (&length, &face) in self.ring_lengths.iter().zip(&self.ring_faces) {
             let ring = &self.rings[from..from + length as usize];
             let place = |vertex: u32| positions.get(vertex as usize).copied().unwrap_or(DVec3::NAN);
             let uvs = self.ring_uvs.get(from..from + length as usize);
             let (triangles, corner_uvs) = (&mut self.triangles, &mut self.corner_uvs);
+            let face_colors = &mut self.face_colors;
             self.triangulator.cut(ring, place, |corners| {
                 if let Some(uvs) = uvs {
                     corner_uvs.resize(triangles.len(), NO_UVS);
                     corner_uvs.push(corners.map(|corner| uvs[corner as usize]));
                 }
+                face_colors.give(face, triangles.len());
                 triangles.push(corners.map(|corner| ring[corner as usize]));
             });
             from += length as usize;
@@ -457,6 +478,7 @@ impl Parts<'_> {
         self.rings.clear();
         self.ring_uvs.clear();
         self.ring_lengths.clear();
+        self.ring_faces.clear();
         self.check_triangles()
     }
 }

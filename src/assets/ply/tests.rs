@@ -234,9 +234,8 @@ fn other_attributes() {
     assert_eq!(cloud.values_of("classification"), Some(vec![3.0, 300.0]));
     assert_eq!(cloud.radii.as_deref(), Some(&[0.1, 0.2][..]));
     assert_eq!(cloud.normals.as_deref(), Some(&[Vec3::Z, Vec3::ZERO][..]));
-    assert_eq!(asset.warnings.len(), 1);
-    let said = &asset.warnings[0];
-    assert!(said.contains("normals are not numbers") && said.ends_with("vertex 1"), "{said}");
+    let said = "1 normal is not a number and counts as unknown; the first is that of vertex 1";
+    assert_eq!(asset.warnings, [said]);
     for radius in ["-0.5", "0", "nan", "+inf", "1e39"] {
         let asset = points("property float radius\n", &format!("0 0 0 1\n1 1 1 {radius}\n"));
         assert!(matches!(&asset.geometries[0], Geometry::Points(c) if c.radii.is_none()));
@@ -272,16 +271,65 @@ fn strips_restart_and_alternate() {
 
 #[test]
 fn faces_may_come_before_their_vertices() {
-    let text = "ply\nformat ascii 1.0\nelement face 2\nproperty list uchar int vertex_indices\n\
-        property uchar red\nelement vertex 4\nproperty float x\nproperty float y\n\
+    let text = "ply\nformat ascii 1.0\nelement face 3\nproperty list uchar int vertex_indices\n\
+        property uchar red\nproperty uchar green\nproperty uchar blue\nelement vertex 4\nproperty float x\nproperty float y\n\
         property float z\nelement edge 1\nproperty int a\nend_header\n\
-        4 0 1 2 3 9\n2 0 1 9\n0 0 0\n2 0 0\n0.5 0.5 0\n0 2 0\n7\n";
+        4 0 1 2 3 9 8 7\n2 0 1 0 0 1\n4 0 1 3 3 6 5 4\n0 0 0\n2 0 0\n0.5 0.5 0\n0 2 0\n7\n";
     let asset = read(text).unwrap();
-    let mut corners: Vec<_> = mesh(&asset).triangles.concat();
+    let found = mesh(&asset);
+    let mut corners: Vec<_> = found.triangles[..2].concat();
     corners.sort_unstable();
     // The dent at vertex 2 is on the cut, with vertex 0.
     assert_eq!(corners, [0, 0, 1, 2, 2, 3]);
-    assert_eq!(asset.warnings.len(), 3);
+    let colors = found.colors.as_ref().unwrap();
+    let of = |triangle: usize| found.triangles[triangle].map(|corner| colors[corner as usize]);
+    assert_eq!(
+        [of(0), of(1), of(2)],
+        [[[9, 8, 7, 255]; 3], [[9, 8, 7, 255]; 3], [[6, 5, 4, 255]; 3]]
+    );
+    assert_eq!(asset.warnings.len(), 2, "{:?}", asset.warnings);
+}
+
+#[test]
+fn faces_have_colors_where_vertices_have_none() {
+    let with = |vertex: &str, face: &str, rows: &str| {
+        let channels = |kind: &str| match kind {
+            "" => String::new(),
+            kind => ["red", "green", "blue", "alpha"]
+                .map(|name| format!("property {kind} {name}\n"))
+                .concat(),
+        };
+        read(format!(
+            "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\n\
+             property float z\n{}element face 2\n{}property list uchar int vertex_indices\n\
+             end_header\n{rows}",
+            channels(vertex),
+            channels(face)
+        ))
+        .unwrap()
+    };
+    let square = "0 0 0\n1 0 0\n1 1 0\n0 1 0\n";
+    for (kind, red, blue) in [
+        ("uchar", "255 0 0 255", "0 0 255 128"),
+        ("float", "1 0 0 1", "0 0 1 0.5"),
+        ("ushort", "65535 0 0 65535", "0 0 65535 32896"),
+    ] {
+        let rows = format!("{square}{red} 3 0 1 2\n{blue} 4 0 2 3 0\n");
+        let asset = with("", kind, &rows);
+        let found = mesh(&asset);
+        let colors = found.colors.as_ref().unwrap();
+        let of = |triangle: usize| found.triangles[triangle].map(|corner| colors[corner as usize]);
+        assert_eq!(of(0), [[255, 0, 0, 255]; 3], "{kind}");
+        assert_eq!(of(1), [[0, 0, 255, 128]; 3], "{kind}");
+        assert!(asset.warnings.is_empty(), "{:?}", asset.warnings);
+    }
+    let rows = square.replace('\n', " 9 8 7 255\n") + "1 2 3 255 3 0 1 2\n1 2 3 255 3 0 2 3\n";
+    let asset = with("uchar", "uchar", &rows);
+    assert_eq!(mesh(&asset).colors, Some(vec![[9, 8, 7, 255]; 4]));
+    assert_eq!(asset.warnings, ["colours of faces are ignored: vertices have colours"]);
+    let black = format!("{square}0 0 0 0 3 0 1 2\n0 0 0 0 3 0 2 3\n");
+    let asset = with("", "uchar", &black);
+    assert!(mesh(&asset).colors.is_none() && asset.warnings.is_empty(), "declared and not filled");
 }
 
 #[test]

@@ -8,6 +8,7 @@ use super::super::fields::{self, Column, Fields, INTENSITY, Numbers, Spans};
 use super::super::points::WordColors;
 use super::super::{PointCloud, tidy};
 use super::body::{Row, Wanted};
+use super::colors::{self, Colors};
 use super::header::{Element, Kind, Scalar};
 
 const X: usize = 0;
@@ -26,41 +27,15 @@ const NAMES: [&[&str]; SLOTS] = [
     &["nx", "normal_x"],
     &["ny", "normal_y"],
     &["nz", "normal_z"],
-    &["red", "diffuse_red", "color_0", "r"],
-    &["green", "diffuse_green", "color_1", "g"],
-    &["blue", "diffuse_blue", "color_2", "b"],
-    &["alpha", "diffuse_alpha", "color_3", "a"],
+    // [`colors::properties`] finds colours.
+    &[],
+    &[],
+    &[],
+    &[],
     &["s", "u", "texture_u", "texture_s"],
     &["t", "v", "texture_v", "texture_t"],
     &["radius", "scalar_radius", "radii", "scalar_radii"],
 ];
-
-enum Colors {
-    None,
-    Bytes(Vec<[u8; 4]>),
-    /// Integers of 16 bits and, unless it is empty, their alpha. Many hold values of 8 bits.
-    Words(Vec<[u16; 3]>, Vec<u16>),
-    Floats(Vec<[f32; 4]>),
-}
-
-impl Colors {
-    /// Whether any is not black: software declares colours that it does not fill.
-    fn are_filled(&self) -> bool {
-        match self {
-            Colors::None => false,
-            Colors::Bytes(colors) => colors.iter().any(|[r, g, b, _]| [*r, *g, *b] != [0; 3]),
-            Colors::Words(colors, _) => colors.iter().any(|color| *color != [0; 3]),
-            Colors::Floats(colors) => colors.iter().any(|[r, g, b, _]| [*r, *g, *b] != [0.0; 3]),
-        }
-    }
-}
-
-/// Bytes of colours of 16 bits, of which `range` has seen all.
-fn bytes_of_words(rgb: &[[u16; 3]], alpha: &[u16], range: WordColors) -> Option<Vec<[u8; 4]>> {
-    let mut colors = range.colors(rgb)?;
-    colors.iter_mut().zip(alpha).for_each(|(color, &alpha)| color[3] = range.alpha(alpha));
-    Some(colors)
-}
 
 /// Vertices as they come in.
 pub(super) struct Vertices {
@@ -99,14 +74,13 @@ impl Vertices {
             }
         }
         // A vector counts only when it is complete.
-        for group in [NORMAL..NORMAL + 3, COLOR..COLOR + 3, UV..UV + 2] {
+        for group in [NORMAL..NORMAL + 3, UV..UV + 2] {
             if group.clone().any(|slot| found[slot].is_none()) {
                 group.for_each(|slot| found[slot] = None);
             }
         }
-        if found[COLOR].is_none() {
-            found[COLOR + 3] = None;
-        }
+        let colors = colors::properties(element);
+        found[COLOR..UV].copy_from_slice(&colors);
         let mut slots = vec![None; element.properties.len()];
         for (slot, property) in found.iter().enumerate() {
             if let Some(property) = property {
@@ -115,22 +89,11 @@ impl Vertices {
         }
         let fields = if with_fields { fields(element, &mut slots, reserve) } else { Vec::new() };
         let has = |slot: usize| found[slot].is_some();
-        let colors = match found[COLOR].map(|property| element.properties[property].kind) {
-            None | Some(Kind::List { .. }) => Colors::None,
-            Some(Kind::Scalar(scalar)) if scalar.is_float() => {
-                Colors::Floats(Vec::with_capacity(reserve))
-            }
-            Some(Kind::Scalar(Scalar::U16 | Scalar::I16)) => {
-                let alpha = if has(COLOR + 3) { reserve } else { 0 };
-                Colors::Words(Vec::with_capacity(reserve), Vec::with_capacity(alpha))
-            }
-            Some(Kind::Scalar(_)) => Colors::Bytes(Vec::with_capacity(reserve)),
-        };
         Ok(Vertices {
             positions: Vec::with_capacity(reserve),
             slots,
             normals: has(NORMAL).then(|| Vec::with_capacity(reserve)),
-            colors,
+            colors: Colors::new(element, colors, reserve),
             has_alpha: has(COLOR + 3),
             uvs: has(UV).then(|| Vec::with_capacity(reserve)),
             fields,
@@ -161,26 +124,8 @@ impl Vertices {
         if let Some(normals) = &mut self.normals {
             normals.push(vector(NORMAL).as_vec3());
         }
-        match &mut self.colors {
-            Colors::None => {}
-            Colors::Bytes(colors) => {
-                let byte = |slot: usize| v[slot].round() as u8;
-                let alpha = if self.has_alpha { byte(COLOR + 3) } else { 255 };
-                colors.push([byte(COLOR), byte(COLOR + 1), byte(COLOR + 2), alpha]);
-            }
-            Colors::Words(colors, alpha) => {
-                let word = |slot: usize| v[slot].round() as u16;
-                colors.push([word(COLOR), word(COLOR + 1), word(COLOR + 2)]);
-                if self.has_alpha {
-                    alpha.push(word(COLOR + 3));
-                }
-            }
-            Colors::Floats(colors) => {
-                let alpha = if self.has_alpha { v[COLOR + 3] as f32 } else { f32::NAN };
-                let [r, g, b] = vector(COLOR).as_vec3().to_array();
-                colors.push([r, g, b, alpha]);
-            }
-        }
+        let alpha = self.has_alpha.then_some(v[COLOR + 3]);
+        self.colors.push([v[COLOR], v[COLOR + 1], v[COLOR + 2]], alpha);
         if let Some(uvs) = &mut self.uvs {
             uvs.push(Vec2::new(v[UV] as f32, (1.0 - v[UV + 1]) as f32));
         }
@@ -204,17 +149,7 @@ impl Vertices {
         Finished {
             positions: self.positions,
             normals: self.normals.and_then(|normals| tidy::unit_normals(normals, warnings)),
-            colors: match self.colors {
-                colors if !colors.are_filled() => None,
-                Colors::None => None,
-                Colors::Bytes(colors) => Some(colors),
-                Colors::Words(colors, alpha) => {
-                    let mut range = WordColors::default();
-                    range.add(&colors);
-                    bytes_of_words(&colors, &alpha, range)
-                }
-                Colors::Floats(colors) => Some(tidy::colors_from_floats(&colors, warnings)),
-            },
+            colors: self.colors.finish("that of vertex", warnings),
             uvs: self.uvs,
             fields: fields::encoded(self.fields, warnings),
             radii,
@@ -294,7 +229,7 @@ impl Facts {
         let colors = match colors {
             Colors::None => None,
             Colors::Bytes(colors) => Some(colors),
-            Colors::Words(colors, alpha) => bytes_of_words(&colors, &alpha, self.words),
+            Colors::Words(colors, alpha) => colors::bytes_of_words(&colors, &alpha, self.words),
             Colors::Floats(colors) => {
                 let color = |c: [f32; 4]| tidy::color_from_floats(c, self.counts_to_255);
                 Some(colors.into_iter().map(color).collect())

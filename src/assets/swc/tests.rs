@@ -33,6 +33,13 @@ fn row(id: i64, x: f64, radius: f64, parent: i64) -> String {
 }
 
 #[test]
+fn lines_may_end_with_carriage_returns_alone() {
+    let text = "# a comment\n".to_owned() + &row(1, 1.0, 0.5, -1) + &row(2, 2.0, 0.25, 1);
+    let asset = read(&text.replace('\n', "\r")).unwrap();
+    assert_eq!(strands(&asset), [[(1.0, 0.5), (2.0, 0.25)]]);
+}
+
+#[test]
 fn strands_begin_at_the_branch_point() {
     // 1 - 2 - 3 forks into 4 - 5 and 6, in an order that no tool writes.
     let text = [

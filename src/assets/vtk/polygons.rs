@@ -112,7 +112,7 @@ impl PolyData {
             if array.is_byte {
                 floats.map(|color| color.map(|channel| channel as u8)).collect()
             } else {
-                tidy::colors_from_floats(&floats.collect::<Vec<_>>(), warnings)
+                tidy::colors_from_floats(&floats.collect::<Vec<_>>(), "that of vertex", warnings)
             }
         };
         let colors = roles.color.map(|array| colors(array, &mut self.warnings));

@@ -22,6 +22,7 @@ fn three_columns_in_every_separator() {
         "1;2;3\n4;5;6\n",
         "# made by hand\n\n1 2 3\n// more\n4 5 6",
         "2\n1 2 3\n4 5 6\n",
+        "x,y,z\r1,2,3\r4,5,6\r",
     ] {
         let cloud = cloud_of(text);
         let expected = [DVec3::new(1.0, 2.0, 3.0), DVec3::new(4.0, 5.0, 6.0)];
@@ -104,6 +105,21 @@ fn names_of_columns_may_have_blanks() {
         assert_eq!(cloud.values_of("return_number"), Some(vec![1.0, 2.0]), "{text}");
     }
     assert_eq!(cloud_of("x, y z\n1, 2 3\n").positions, [DVec3::new(1.0, 2.0, 3.0)]);
+}
+
+#[test]
+fn text_in_a_column_may_have_blanks() {
+    for text in [
+        "x,y,z,Zone,height above ground\n0,0,1,pine wood,2\n0,0,2, ,7\n",
+        "x,y,z,\"Zone\",height above ground\n0, 0 ,1,\"wood, old pine\",2\n0,0,2,\"\",7\n",
+        "x;y;z;Zone;height above ground;\n0;0;1;pine; 2\n0;0;2,0;two small trees;7;\n",
+    ] {
+        let cloud = cloud_of(text);
+        assert_eq!(cloud.positions, [DVec3::Z, DVec3::Z * 2.0], "{text}");
+        assert_eq!(cloud.values_of("height above ground"), Some(vec![2.0, 7.0]), "{text}");
+    }
+    // Without a header, blanks separate.
+    assert_eq!(cloud_of("1, 2 3\n").positions, [DVec3::new(1.0, 2.0, 3.0)]);
 }
 
 #[test]

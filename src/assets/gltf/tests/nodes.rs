@@ -111,4 +111,13 @@ fn skinned_meshes_stand_where_their_joints_are() {
         let stands = asset.placements[0].asset_from_geometry.transform_point3(DVec3::X);
         assert!(close(stands, [1.0, 0.0, 0.0]));
     }
+    // Matrices that cannot be read leave the mesh where it is stored.
+    for (bind, place) in [(json!(99), "accessors[99]"), (json!(0), "accessors[0]")] {
+        document.json["skins"] = json!([{ "joints": [3, 2], "inverseBindMatrices": bind }]);
+        let asset = document.read().unwrap();
+        let stands = asset.placements[0].asset_from_geometry.transform_point3(DVec3::X);
+        assert!(close(stands, [1.0, 0.0, 0.0]));
+        let said = &asset.warnings[0];
+        assert!(said.starts_with("skins[0]: its meshes stand") && said.contains(place), "{said}");
+    }
 }
