@@ -201,7 +201,7 @@ impl Reel {
 
 /// Receives the frames in order, as RGB8 pixels of the reel's size.
 trait Sink {
-    fn push(&mut self, rgb: &[u8]) -> Result<(), VideoError>;
+    fn push(&mut self, rgb: Vec<u8>) -> Result<(), VideoError>;
     /// Completes the file.
     fn finish(self: Box<Self>) -> Result<(), VideoError>;
 }
@@ -234,7 +234,7 @@ pub fn encode<'a>(
         if stop.load(Ordering::Relaxed) {
             return Err(VideoError::Stopped);
         }
-        sink.push(&pixels::read(folder, record, reel)?)?;
+        sink.push(pixels::read(folder, record, reel)?)?;
         coded += 1;
         tell(coded);
     }
