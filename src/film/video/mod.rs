@@ -222,7 +222,9 @@ pub fn encode<'a>(
 ) -> Result<(), VideoError> {
     reel.check(coder)?;
     let part = part_of(out);
-    // An unfinished file is removed on return. After a kill the next run overwrites it.
+    // The ffmpeg of a killed process may still write into its file. Without a name, that file is no other coder's.
+    let _ = fs::remove_file(&part);
+    // An unfinished file is removed on return.
     let _unfinished = Unfinished(&part);
     let mut sink: Box<dyn Sink + '_> = match coder {
         #[cfg(feature = "video")]
