@@ -18,7 +18,7 @@ use super::desk::Desk;
 use super::messages::{BEATS, Beat, FilmOrder, Note, Run, notes};
 use super::pacing::{LIST_AFTER, MOST_NOTES, READS, TICK};
 use super::roster::Roster;
-use super::store::{Store, StoreError};
+use super::store::{Store, StoreError, Suspects};
 use super::{Said, kind_of, stopped};
 use crate::engine::{Engine, RequestId};
 use crate::film::manifest::digits;
@@ -31,9 +31,11 @@ const PATIENCE: Duration = Duration::from_secs(10);
 const PAUSE: Duration = Duration::from_millis(500);
 /// Interval at which queued runs are counted.
 const COUNT_EVERY: Duration = Duration::from_secs(2);
-/// Interval at which scenes' files that no film needs are removed from the store.
+/// Interval at which the store is cleaned, and the time before the first cleaning.
 const CLEAN_EVERY: Duration = Duration::from_secs(24 * 3600);
 const CLEAN_AFTER: Duration = Duration::from_secs(3600);
+/// Interval at which a film's order is stored again, so that a cleaning between two others finds it changed.
+const RENEW: Duration = Duration::from_secs(12 * 3600);
 /// Time limit of the removal of a film that is over.
 const CLEAR: Duration = Duration::from_secs(60);
 /// Number of frames set aside at which a film is given up, before all its frames have killed workers.
@@ -158,16 +160,28 @@ async fn count_queued(shared: Arc<Shared>) {
 /// Removes what no film needs, for as long as the process lives.
 async fn clean_store(store: Store) {
     // Not at once: servers that start together would clean together.
-    let first = tokio::time::Instant::now() + CLEAN_AFTER;
-    let mut interval = tokio::time::interval_at(first, CLEAN_EVERY);
+    let mut pause = CLEAN_AFTER;
+    let mut suspects = Suspects::new();
     loop {
-        interval.tick().await;
-        match store.clean(SystemTime::now()).await {
-            Ok(0) => {}
-            Ok(files) => {
-                tracing::info!(files, "files that no film needs are removed from the store")
+        tokio::time::sleep(pause).await;
+        pause = CLEAN_EVERY;
+        let now = SystemTime::now();
+        let cleaned = async {
+            let films = store.clean_films(now, &mut suspects).await?;
+            Ok::<_, StoreError>((films, store.clean(now).await?))
+        };
+        match cleaned.await {
+            Ok((0, 0)) => {}
+            Ok((films, files)) => {
+                tracing::info!(
+                    films,
+                    files,
+                    "films that no server draws and files that no film needs are removed from the store"
+                )
             }
-            Err(error) => tracing::warn!(%error, "cannot remove old files from the store"),
+            Err(error) => {
+                tracing::warn!(%error, "cannot remove old films and files from the store")
+            }
         }
     }
 }
@@ -340,7 +354,7 @@ impl Collection<'_> {
         keep: &mut Keep<'_>,
         tell: &dyn Fn(Option<String>),
     ) -> Result<(), FilmError> {
-        let mut prepared = false;
+        let mut prepared: Option<Instant> = None;
         let mut heard = None;
         // The store may have frames of an earlier process.
         let mut listed_at: Option<Instant> = None;
@@ -353,14 +367,14 @@ impl Collection<'_> {
                     Err(error) => self.failed(&error.into()).await,
                 }
             }
-            if !prepared {
+            if prepared.is_none_or(|at| at.elapsed() >= RENEW) {
                 match self.prepare().await {
-                    Ok(notes) => (prepared, heard) = (true, Some(notes)),
+                    Ok(notes) => (prepared, heard) = (Some(Instant::now()), Some(notes)),
                     Err(error) => self.failed(&error).await,
                 }
             } else if let Err(error) = self.queue().await {
                 // A broker that lost its files needs the stream again.
-                prepared = false;
+                prepared = None;
                 self.failed(&error).await;
             } else {
                 self.obstacle = None;
@@ -378,7 +392,7 @@ impl Collection<'_> {
                     self.hear(&message.payload, &mut arrived);
                 }
             } else if matches!(first, Ok(None)) {
-                prepared = false;
+                prepared = None;
             }
             if let Err(error) = self.take(arrived, keep).await? {
                 self.failed(&error.into()).await;

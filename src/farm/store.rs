@@ -4,14 +4,14 @@
 //! |---|---|---|
 //! | `pointillist-store` | what tells this store from others, drawn at random | the first server |
 //! | `assets/SHA256` | a file of a scene; removed a week after it was last stored, unless a film needs it | the server, once for all films |
-//! | `films/FILM/order.json` | [`FilmOrder`](super::messages::FilmOrder); removed first when the film is over | the server |
+//! | `films/FILM/order.json` | [`FilmOrder`](super::messages::FilmOrder); stored again twice a day; removed first when the film is over | the server |
 //! | `films/FILM/frames/TAG` | the image with this entity tag | workers |
 //! | `films/FILM/tries/FIRST-LAST` | [`Tries`]: which workers began these frames, and how often | workers |
 //! | `films/FILM/aside/NUMBER` | why a frame is set aside | workers |
 //!
 //! Frames carry their checksum, since a shared folder may keep half of a file after a power cut. Each operation is tried a few times.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::path::Path as FilePath;
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, SystemTime};
@@ -22,7 +22,7 @@ use object_store::aws::AmazonS3Builder;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path;
 use object_store::prefix::PrefixStore;
-use object_store::{ObjectStore, ObjectStoreExt, PutMode, PutPayload, WriteMultipart};
+use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt, PutMode, PutPayload, WriteMultipart};
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -45,6 +45,8 @@ const PART: usize = 8 << 20;
 const KEPT: Duration = Duration::from_secs(7 * 24 * 3600);
 /// Age from which a scene's file is stored again when a film needs it, so that it is not removed before the film's order is there.
 const FRESH: Duration = Duration::from_secs(24 * 3600);
+/// Age from which a film is removed that no server stores anything of. The queue has forgotten its runs by then.
+const ABANDONED: Duration = Duration::from_secs(14 * 24 * 3600);
 /// Requests that one listing or removal makes at a time.
 const AT_ONCE: usize = 16;
 
@@ -53,6 +55,9 @@ const AT_ONCE: usize = 16;
 struct Needs {
     scene: Bundle,
 }
+
+/// Films that are old enough to be removed, with the times of their newest objects.
+pub type Suspects = HashMap<String, SystemTime>;
 
 /// A handle of the store; clones share it.
 #[derive(Clone)]
@@ -352,6 +357,41 @@ impl Store {
             }
         };
         futures::stream::iter(names).try_for_each_concurrent(AT_ONCE, delete).await
+    }
+
+    /// Removes films whose newest object is two weeks old at the time `now`, and was the newest in the call before, which left `suspects`.
+    /// A clock that jumps therefore removes no film whose order is stored again between two calls. Returns the number of removed films.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub async fn clean_films(
+        &self,
+        now: SystemTime,
+        suspects: &mut Suspects,
+    ) -> Result<usize, StoreError> {
+        self.check().await?;
+        let films = Path::from("films");
+        let note = |mut newest: Suspects, object: ObjectMeta| async move {
+            let film = object.location.parts().nth(1);
+            let film: &str = film.as_ref().map_or("", AsRef::as_ref);
+            // Whatever else lies there is somebody else's.
+            if are_digits(film, 32) {
+                let at = SystemTime::from(object.last_modified);
+                let known = newest.entry(film.to_owned()).or_insert(at);
+                *known = at.max(*known);
+            }
+            Ok(newest)
+        };
+        let listed = self.tried(|| self.objects.list(Some(&films)).try_fold(Suspects::new(), note));
+        let mut old = listed.await?;
+        old.retain(|_, at| now.duration_since(*at).is_ok_and(|age| age >= ABANDONED));
+        let before = std::mem::replace(suspects, old);
+        let unchanged = suspects.iter().filter(|(film, at)| before.get(*film) == Some(*at));
+        let abandoned: Vec<&String> = unchanged.map(|(film, _)| film).collect();
+        for film in &abandoned {
+            self.remove(film).await?;
+        }
+        Ok(abandoned.len())
     }
 
     /// Removes scenes' files that no film needs and that are a week old at the time `now`. Returns their number.

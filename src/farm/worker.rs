@@ -456,7 +456,9 @@ impl Worker {
         let drawing = tokio::task::spawn_blocking(move || {
             let spec = &order.spec;
             let shots = find_shots(&engine, spec)?;
-            film::bake(&engine, &spec.request(), &shots)?;
+            if !film::bake(&engine, &spec.request(), &shots, &stop)? {
+                return Err(FilmError::Elsewhere("the worker stops".to_owned()));
+            }
             let unknown = || EngineError::UnknownScene { id: spec.scene.clone() };
             let mark = engine.scene_mark(&spec.scene).ok_or_else(unknown)?;
             let origin = crate::engine::Origin {

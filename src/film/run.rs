@@ -134,8 +134,8 @@ pub fn run(
     let film = &film.decided()?;
     let first = *film.shots.wanted().start();
     let asked = film.shots.wanted().count() as u64;
-    while let Some(request) = unbaked(film.engine, &film.request, &film.shots) {
-        film.engine.bake(&request)?;
+    if !bake(film.engine, &film.request, &film.shots, stop)? {
+        return Ok(Report { missing: asked, ..Report::default() });
     }
     // Fail before the folder is created.
     film.slot(first)?;
@@ -183,15 +183,25 @@ pub fn run(
     })
 }
 
-/// Bakes what the frames need, and waits for it. This changes the scene's mark, so a film takes the mark afterwards.
+/// Bakes what the frames need, and waits for it. This changes the scene's mark, so a film takes the mark afterwards. When `stop` becomes true, the
+/// wait ends and this returns false. The bake then goes on only if others wait for it.
 ///
 /// # Errors
 /// The scene is gone or cannot be baked.
-pub fn bake(engine: &Engine, request: &FrameRequest, shots: &Shots) -> Result<(), FilmError> {
+pub fn bake(
+    engine: &Engine,
+    request: &FrameRequest,
+    shots: &Shots,
+    stop: &AtomicBool,
+) -> Result<bool, FilmError> {
     while let Some(request) = unbaked(engine, request, shots) {
-        engine.bake(&request)?;
+        let Some(mut ticket) = engine.begin_bake(&request)? else { continue };
+        match ticket.wait_while(|_| !stop.load(Ordering::Relaxed)) {
+            Some(baked) => baked?,
+            None => return Ok(false),
+        }
     }
-    Ok(())
+    Ok(true)
 }
 
 /// Draws frames whose tags are known, for a film that another process runs. `keep` gets them on another thread.

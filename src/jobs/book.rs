@@ -418,7 +418,7 @@ impl Book {
     ) -> bool {
         self.at_work.remove(&id);
         let Some(job) = self.jobs.get_mut(&id) else { return false };
-        if let Some(phase) = end_run(job, outcome, made, drawn, now_ms) {
+        if let Some(phase) = apply_outcome(job, outcome, made, drawn, now_ms) {
             self.due.insert(id, phase);
         }
         true
@@ -434,7 +434,7 @@ impl Book {
         now_ms: u64,
     ) -> Result<Record, Refusal> {
         let mut job = self.get(id)?.clone();
-        end_run(&mut job, outcome, made, drawn, now_ms);
+        apply_outcome(&mut job, outcome, made, drawn, now_ms);
         Ok(job)
     }
 
@@ -520,7 +520,7 @@ impl Book {
 }
 
 /// Changes the record of a job whose run has ended. Returns the phase in which the job goes on, if it does.
-fn end_run(
+fn apply_outcome(
     job: &mut Record,
     outcome: Outcome,
     made: Made,

@@ -55,6 +55,7 @@ function save(blob, name) {
 export class Reel {
   constructor() {
     this.job = null;
+    this.numbers = []; // of the frames that are there, in order
     this.isPlaying = false;
     this.packing = null; // the archive that is being made
     this.asked = 0;
@@ -64,29 +65,29 @@ export class Reel {
     $('reel-all').addEventListener('click', () => this.pack());
   }
 
-  get first() { return this.job.frames.from ?? 0; }
-  get last() { return this.first + this.job.frames.done - 1; }
+  get last() { return this.numbers.length - 1; }
   get extension() { return this.job.settings.format === 'jpeg' ? 'jpg' : this.job.settings.format; }
 
   async open(id) {
-    let job;
+    let job, numbers;
     try {
       job = await getJson(jobUrl(id));
+      numbers = await numbersOf(job);
     } catch (problem) {
       return complain(problem, 'film');
     }
     this.close();
-    this.job = job;
+    Object.assign(this, { job, numbers });
     const isShown = SHOWN.includes(job.settings.format);
     $('reel-title').textContent = `Film ${job.id} of ${job.scene}, ${job.settings.w} × ${job.settings.h}`;
-    Object.assign($('reel-frame'), { min: this.first, max: this.last, value: this.first });
+    Object.assign($('reel-frame'), { min: 0, max: this.last, value: 0 });
     $('reel-image').hidden = !isShown;
-    $('reel-play').disabled = !isShown || job.frames.done < 2;
+    $('reel-play').disabled = !isShown || numbers.length < 2;
     this.say(isShown ? '' : `No browser shows ${job.settings.format.toUpperCase()}; the frames can be downloaded.`);
     downloadLink($('reel-list'), job.links.frames, `${job.scene}-${job.id}-frames.jsonl`);
     $('reel').hidden = false;
     $('jobs').open = true;
-    await this.look(this.first);
+    await this.look(0);
     $('reel').scrollIntoView({ block: 'nearest' });
   }
 
@@ -98,11 +99,12 @@ export class Reel {
     this.free();
   }
 
-  // Returns whether the frame was shown: a later call, or one for another film, overtakes it.
-  async look(number) {
-    const ticket = ++this.asked, { job } = this, image = $('reel-image');
+  // Shows the frame at this place in `numbers`. Returns whether it was shown: a later call, or one for another film, overtakes it.
+  async look(place) {
+    const ticket = ++this.asked, { job } = this, number = this.numbers[place], image = $('reel-image');
     const url = jobUrl(job.id, `/frames/${number}`), name = `${job.scene}-${job.id}-${numbered(number)}.${this.extension}`;
-    $('reel-frame').value = number;
+    $('reel-frame').value = place;
+    $('reel-frame').ariaValueText = `${number}`;
     $('reel-shown').textContent = `${number}`;
     downloadLink($('reel-one'), url, name);
     if (image.hidden) return true;
@@ -140,16 +142,16 @@ export class Reel {
   }
 
   async play() {
-    const fps = Math.max(SLOWEST_FPS, this.job.fps || 30), { job, first, last } = this;
-    const from = Number($('reel-frame').value) >= last ? first : Number($('reel-frame').value), began = performance.now();
+    const fps = Math.max(SLOWEST_FPS, this.job.fps || 30), { job, last } = this;
+    const from = Number($('reel-frame').value) >= last ? 0 : Number($('reel-frame').value), began = performance.now();
     this.isPlaying = true;
     $('reel-play').textContent = 'Pause';
-    let number = from;
+    let place = from;
     while (this.isPlaying && this.job === job) {
-      if (!await this.look(number) || number === last) break;
+      if (!await this.look(place) || place === last) break;
       // Keep the film's own time: late frames are skipped, except for the last.
-      await new Promise(resolve => setTimeout(resolve, Math.max(0, began + (number + 1 - from) * 1000 / fps - performance.now())));
-      number = Math.min(last, Math.max(number + 1, from + Math.floor((performance.now() - began) * fps / 1000)));
+      await new Promise(resolve => setTimeout(resolve, Math.max(0, began + (place + 1 - from) * 1000 / fps - performance.now())));
+      place = Math.min(last, Math.max(place + 1, from + Math.floor((performance.now() - began) * fps / 1000)));
     }
     if (this.job === job) this.stop();
   }
@@ -160,14 +162,15 @@ export class Reel {
   }
 
   async pack() {
-    const { job, first, last } = this, total = last - first + 1, say = text => { if (this.job === job) this.say(text); };
+    const { job, numbers } = this, total = numbers.length, say = text => { if (this.job === job) this.say(text); };
     if (job.bytes > MOST_BYTES * 0.99 || total > MOST_FILES) return say(`${count(total)} frames are more than an archive made here holds; ${job.links.multipart} sends them all.`);
     if (this.packing) return;
     // A film that is closed meanwhile ends its archive, even if another one is begun.
     const zip = this.packing = new Zip();
     try {
-      for (let number = first; number <= last && this.packing === zip; number++) {
-        say(`${count(number - first)} of ${count(total)} frames fetched …`);
+      for (const [fetched, number] of numbers.entries()) {
+        if (this.packing !== zip) return;
+        say(`${count(fetched)} of ${count(total)} frames fetched …`);
         await zip.add(`${numbered(number)}.${this.extension}`, await (await reach(jobUrl(job.id, `/frames/${number}`))).blob());
       }
       if (this.packing !== zip) return;
@@ -181,6 +184,13 @@ export class Reel {
       if (this.packing === zip) this.packing = null;
     }
   }
+}
+
+// Workers finish frames in any order, so the manifest tells which ones an unfinished film has.
+async function numbersOf({ frames: { from, done, total }, links }) {
+  if (done === total) return Array.from({ length: done }, (_, place) => (from ?? 0) + place);
+  const lines = (await (await reach(links.frames)).text()).split('\n').slice(1).filter(Boolean);
+  return [...new Set(lines.map(line => JSON.parse(line).frame))].sort((a, b) => a - b);
 }
 
 const numbered = number => String(number).padStart(6, '0');

@@ -128,6 +128,41 @@ fn frames_are_looked_at_played_and_downloaded() {
 }
 
 #[test]
+fn a_film_with_gaps_shows_the_frames_that_are_there() {
+    let Some(driver) = driver_or_skip() else { return };
+    let (_daemon, browser) = opened_at(&driver, Daemon::with_jobs());
+    browser.script("document.getElementById('paths').open = true");
+    render_named(&browser, "frames");
+    // The answers of a server whose job was cancelled before its workers had drawn frames 2 to 8.
+    browser.script(
+        "const real = window.fetch; \
+         window.fetch = async (url, options) => { \
+             const answer = await real(url, options), path = new URL(url, location).pathname; \
+             if (/jobs\\/\\d+$/.test(path)) { \
+                 const job = await answer.json(); \
+                 job.frames.done = 4; \
+                 return new Response(JSON.stringify(job)); \
+             } \
+             if (!path.endsWith('/frames')) return answer; \
+             const [head, ...lines] = (await answer.text()).trim().split('\\n'); \
+             const there = lines.filter(line => [0, 1, 9, 10].includes(JSON.parse(line).frame)); \
+             return new Response([head, ...there.reverse(), ''].join('\\n')); \
+         }",
+    );
+    browser.click("#film-frames");
+    let shows = |number| {
+        format!("return document.getElementById('reel-image').src.endsWith('/frames/{number}')")
+    };
+    browser.wait_for("the first frame", PATIENCE, &shows(0));
+    browser.click("#reel-play");
+    browser.wait_for("the last frame", PATIENCE, &shows(10));
+    let slider =
+        browser.script("const r = document.getElementById('reel-frame'); return [r.max, r.value]");
+    assert_eq!(slider, json!(["3", "3"]));
+    assert_eq!(browser.console_errors(), Vec::<String>::new());
+}
+
+#[test]
 fn a_video_is_there_after_a_reload() {
     let Some(driver) = driver_or_skip() else { return };
     if !cfg!(feature = "video") {

@@ -3,10 +3,14 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
+use glam::DVec3;
 use pointillist::bake::cache::BakeCache;
 use pointillist::engine::{BakeSource, EngineError, FrameRequest, Latch, NodePatch, Resolution};
+use pointillist::film::{self, shots::Shots};
 use pointillist::plan::Lod;
+use pointillist::scene::parse_path;
 use serde_json::json;
 
 use super::studio::{Studio, cloud_scene, eventually, front, same, wall};
@@ -154,6 +158,29 @@ fn deleting_a_scene_ends_its_bakes() {
     eventually("the end of the bake", || engine.bakes_running() == 0);
     latch.open();
     assert!(!studio.bytes(&request).is_empty());
+}
+
+/// A film that is told to stop waits for no bake.
+#[test]
+fn a_stop_ends_a_films_wait_for_its_bake() {
+    let latch = Arc::new(Latch::default());
+    let studio = Studio::with(|config| config.bake_latch = Some(latch.clone()));
+    let engine = &studio.engine;
+    studio.load_two();
+    let mut request = front("cloud", 64, 48);
+    request.settings.lod = Lod::Spt;
+    let path = json!({ "fps": 2, "keys": [
+        { "t": 0, "eye": [0, 0, 4], "target": [0, 0, 0] },
+        { "t": 1, "eye": [1, 0, 4], "target": [0, 0, 0] },
+    ] });
+    let path = parse_path(&path.to_string(), "path", DVec3::Y).unwrap();
+    let shots = Shots::new(&path, None, None, None).unwrap();
+    let bake = |stop| film::bake(engine, &request, &shots, &AtomicBool::new(stop)).unwrap();
+    assert!(!bake(true), "the latch is shut");
+    eventually("the end of the bake", || engine.bakes_running() == 0);
+    latch.open();
+    assert!(bake(false));
+    assert!(!engine.must_bake(&request));
 }
 
 /// The number of concurrent bakes is limited, whatever requests them.

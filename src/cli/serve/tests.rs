@@ -113,6 +113,17 @@ fn numbers_below_their_least_are_refused() {
     }
 }
 
+/// systemd may kill a server whose frame takes longer than half of the watchdog's period.
+#[test]
+fn the_watchdog_outwaits_the_frame_timeout() {
+    let unit = include_str!("../../../deploy/pointillist.service");
+    let period_s = |line: &str| line.strip_prefix("WatchdogSec=")?.parse::<u64>().ok();
+    let period = Duration::from_secs(unit.lines().find_map(period_s).unwrap());
+    let access = Access::Open { cors_origins: Vec::new(), only_loopback: true };
+    let settings = settings(&ServeArgs::default(), PathBuf::from("/"), access).unwrap();
+    assert!(period / 2 >= settings.frame_timeout, "{period:?}");
+}
+
 /// The settings that a reload puts in force are those that the limits are made of, and the page lists them.
 #[test]
 fn a_reload_changes_what_the_limits_are_made_of() {

@@ -168,6 +168,32 @@ async fn old_assets_are_removed_unless_a_film_needs_them() {
 }
 
 #[tokio::test]
+async fn films_are_removed_that_no_server_stores_again() {
+    let (folder, store) = store();
+    store.claim().await.unwrap();
+    let [dead, living, foreign] = ["a".repeat(32), "b".repeat(32), "foreign".to_owned()];
+    for film in [&dead, &living, &foreign] {
+        store.put_order(film, b"half {".to_vec()).await.unwrap();
+        store.put_frame(film, "aa", b"one").await.unwrap();
+    }
+    let (now, mut suspects) = (SystemTime::now(), Suspects::new());
+    for _ in 0..2 {
+        assert_eq!(store.clean_films(now, &mut suspects).await.unwrap(), 0);
+    }
+    // The clock jumps, and all films look old. A server stores the order of its film again.
+    let late = now + ABANDONED + PAUSE;
+    assert_eq!(store.clean_films(late, &mut suspects).await.unwrap(), 0);
+    let order = folder.path().join("deep/store/films").join(&living).join("order.json");
+    std::fs::File::options().write(true).open(order).unwrap().set_modified(now + PAUSE).unwrap();
+    assert_eq!(store.clean_films(late, &mut suspects).await.unwrap(), 1);
+    assert_eq!(store.order(&dead).await.unwrap(), None);
+    assert_eq!(store.list(&dead).await.unwrap(), Listing::default());
+    for film in [&living, &foreign] {
+        assert!(store.has_frame(film, "aa").await.unwrap(), "{film}");
+    }
+}
+
+#[tokio::test]
 async fn assets_are_stored_once_and_checked() {
     let (folder, store) = store();
     let file = folder.path().join("big.ply");

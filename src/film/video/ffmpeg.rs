@@ -160,13 +160,12 @@ impl<'a> Process<'a> {
 }
 
 impl Sink for Process<'_> {
-    fn push(&mut self, rgb: &[u8]) -> Result<(), VideoError> {
-        let mut frame = rgb.to_vec();
+    fn push(&mut self, mut rgb: Vec<u8>) -> Result<(), VideoError> {
         while let Some(input) = &self.input {
-            match input.send_timeout(frame, LOOK_EVERY) {
+            match input.send_timeout(rgb, LOOK_EVERY) {
                 Ok(()) => return Ok(()),
                 Err(SendTimeoutError::Disconnected(_)) => break,
-                Err(SendTimeoutError::Timeout(back)) => frame = back,
+                Err(SendTimeoutError::Timeout(back)) => rgb = back,
             }
             if self.stop.load(Ordering::Relaxed) {
                 return Err(VideoError::Stopped);

@@ -94,8 +94,8 @@ impl Writer {
 }
 
 impl Sink for Writer {
-    fn push(&mut self, rgb: &[u8]) -> Result<(), VideoError> {
-        self.yuv.read_rgb8(RgbSliceU8::new(rgb, self.size));
+    fn push(&mut self, rgb: Vec<u8>) -> Result<(), VideoError> {
+        self.yuv.read_rgb8(RgbSliceU8::new(&rgb, self.size));
         let t_s = self.frames as f64 / self.fps;
         // The coder's clock, which only its rate control uses, counts whole milliseconds.
         let at = Timestamp::from_millis((t_s * 1000.0) as u64);

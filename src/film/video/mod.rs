@@ -201,7 +201,7 @@ impl Reel {
 
 /// Receives the frames in order, as RGB8 pixels of the reel's size.
 trait Sink {
-    fn push(&mut self, rgb: &[u8]) -> Result<(), VideoError>;
+    fn push(&mut self, rgb: Vec<u8>) -> Result<(), VideoError>;
     /// Completes the file.
     fn finish(self: Box<Self>) -> Result<(), VideoError>;
 }
@@ -222,7 +222,9 @@ pub fn encode<'a>(
 ) -> Result<(), VideoError> {
     reel.check(coder)?;
     let part = part_of(out);
-    // An unfinished file is removed on return. After a kill the next run overwrites it.
+    // The ffmpeg of a killed process may still write into its file. Without a name, that file is no other coder's.
+    let _ = fs::remove_file(&part);
+    // An unfinished file is removed on return.
     let _unfinished = Unfinished(&part);
     let mut sink: Box<dyn Sink + '_> = match coder {
         #[cfg(feature = "video")]
@@ -234,7 +236,7 @@ pub fn encode<'a>(
         if stop.load(Ordering::Relaxed) {
             return Err(VideoError::Stopped);
         }
-        sink.push(&pixels::read(folder, record, reel)?)?;
+        sink.push(pixels::read(folder, record, reel)?)?;
         coded += 1;
         tell(coded);
     }

@@ -301,6 +301,22 @@ fn the_process_is_fed_every_pixel_and_its_complaints_are_told() {
     assert!(matches!(refused, Err(VideoError::Io { .. })));
 }
 
+#[cfg(unix)]
+#[test]
+fn an_unfinished_file_of_a_killed_process_gets_no_second_writer() {
+    let (at, records) = folder(5, ImageFormat::Png);
+    let out = at.path().join("film.mp4");
+    // Stands for the open file of a program that outlived its server.
+    let open = at.path().join("open");
+    fs::write(part_of(&out), "the first writer's").unwrap();
+    fs::hard_link(part_of(&out), &open).unwrap();
+    let script = "cat > /dev/null; for last; do :; done; echo > \"$last\"";
+    let coder = Coder::Ffmpeg(program(at.path(), script));
+    let coded = encode(&coder, &reel(5), at.path(), &records, &out, &go_on(), |_| ());
+    assert!(matches!(coded, Err(VideoError::Miscounted { .. })), "{coded:?}");
+    assert_eq!(fs::read_to_string(open).unwrap(), "the first writer's");
+}
+
 /// Programs that read nothing, or read everything and never end.
 #[cfg(unix)]
 #[test]

@@ -148,13 +148,25 @@ pub fn holds(root: &Path, id: &str) -> bool {
 /// # Errors
 /// Errors of the disk; the upload is then as it was.
 pub fn remove_files(root: &Path, id: &str) -> io::Result<()> {
+    remove_synced(root, id, sync_folder)
+}
+
+/// Does the work of [`remove_files`]; `sync` is [`sync_folder`].
+fn remove_synced(
+    root: &Path,
+    id: &str,
+    sync: impl FnOnce(&Path) -> io::Result<()>,
+) -> io::Result<()> {
     if !holds(root, id) {
         return Ok(());
     }
     // A folder is renamed at once or not at all, and the next start removes what has this name.
-    let away = partial(root);
-    fs::rename(folder_of(root, id), &away)?;
-    sync_folder(&root.join(FOLDER))?;
+    let (folder, away) = (folder_of(root, id), partial(root));
+    fs::rename(&folder, &away)?;
+    if let Err(error) = sync(&root.join(FOLDER)) {
+        fs::rename(&away, &folder)?;
+        return Err(error);
+    }
     remove_folder(&away);
     Ok(())
 }
@@ -397,6 +409,19 @@ mod tests {
         fs::create_dir(never.join(".upload.json.new")).unwrap();
         assert!(begin(root, "never").is_err());
         assert_eq!(Record::read(&never).unwrap(), record(Stage::Received, false, 0));
+    }
+
+    #[test]
+    fn a_removal_that_the_disk_does_not_confirm_removes_nothing() {
+        let root = tempfile::tempdir().unwrap();
+        let root = root.path();
+        let loaded = record(Stage::Loaded, true, 0);
+        let folder = upload(root, "known", &loaded);
+        let refused = remove_synced(root, "known", |_| Err(io::Error::other("the disk failed")));
+        assert_eq!(refused.unwrap_err().to_string(), "the disk failed");
+        assert_eq!(Record::read(&folder).unwrap(), loaded);
+        remove_files(root, "known").unwrap();
+        assert_eq!(fs::read_dir(root.join(FOLDER)).unwrap().count(), 0);
     }
 
     #[test]
