@@ -25,7 +25,6 @@ use ::gltf::json::Root;
 
 use self::buffers::Buffers;
 pub use self::container::names_no_files;
-pub(super) use self::container::percent_decoded;
 use self::material::Materials;
 use self::primitive::Primitives;
 use super::input::Input;
