@@ -48,6 +48,7 @@ pub mod plan;
 pub mod residency;
 pub mod scene;
 mod spelling;
+mod words;
 
 /// The version that `--version` and reports name.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");

@@ -189,22 +189,6 @@ pub fn image(frame: &OracleFrame, output: Output) -> FrameImage {
     }
 }
 
-/// Loads, draws and converts a frame: the reference of what an engine with root `root` and default limits draws for `view` and
-/// `output`.
-///
-/// # Errors
-/// As [`Reference::load`].
-pub fn reference_frame(
-    path: &Path,
-    root: &Path,
-    view: &View,
-    output: Output,
-    supersample: u32,
-) -> Result<FrameImage, ReferenceError> {
-    let reference = Reference::load(path, root, &ReadOptions::default(), &SceneLimits::default())?;
-    Ok(image(&reference.frame(view, supersample), output))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -236,7 +220,10 @@ mod tests {
             "nodes": [{"asset": "t", "translate": [0, 0, -50]}, {"asset": "t", "material": "red"}],
             "cameras": {"c": {"eye": [0, 0, 4], "target": [0, 0, 0]}}}"##;
         std::fs::write(&path, text).unwrap();
-        let draw = |output| reference_frame(&path, folder.path(), &view(), output, 1).unwrap();
+        let (options, limits) = (ReadOptions::default(), SceneLimits::default());
+        let reference = Reference::load(&path, folder.path(), &options, &limits).unwrap();
+        let frame = reference.frame(&view(), 1);
+        let draw = |output| image(&frame, output);
         let centre = 6 * 16 + 8;
         let FrameImage::Id { id, .. } = draw(Output::Id) else { panic!("ids") };
         assert_eq!((id[0], id[centre]), (0, 2));
@@ -252,10 +239,10 @@ mod tests {
     fn a_bare_asset_is_a_scene() {
         let folder = folder();
         let path = folder.path().join("t.ply");
-        let load = |limits: &SceneLimits| {
-            Reference::load(&path, folder.path(), &ReadOptions::default(), limits)
+        let load = |path: &Path, limits: &SceneLimits| {
+            Reference::load(path, folder.path(), &ReadOptions::default(), limits)
         };
-        let reference = load(&SceneLimits::default()).unwrap();
+        let reference = load(&path, &SceneLimits::default()).unwrap();
         assert_eq!(reference.description().name, "t");
         assert_eq!(reference.scene().lights.len(), 2);
         assert!(reference.camera("c").is_none());
@@ -265,9 +252,12 @@ mod tests {
             reference.frame(&view(), 1)
         );
         let none = SceneLimits { max_instances: 0, ..SceneLimits::default() };
-        assert!(matches!(load(&none), Err(ReferenceError::OverLimit { found: 1, limit: 0, .. })));
+        assert!(matches!(
+            load(&path, &none),
+            Err(ReferenceError::OverLimit { found: 1, limit: 0, .. })
+        ));
         let missing = folder.path().join("missing.ply");
-        let error = reference_frame(&missing, folder.path(), &view(), Output::Id, 1).unwrap_err();
+        let error = load(&missing, &SceneLimits::default()).unwrap_err();
         assert!(error.to_string().contains("missing.ply"), "{error}");
     }
 

@@ -25,11 +25,6 @@ const MAX_FIELDS: usize = 64;
 /// Points between two reports of progress.
 const REPORT_EVERY: u64 = 1 << 16;
 
-/// Whether a file that begins with `head` is an E57 file.
-pub fn sniff(head: &[u8]) -> bool {
-    head.starts_with(b"ASTM-E57")
-}
-
 /// Reads the scans of an E57 file.
 ///
 /// # Errors
@@ -65,7 +60,7 @@ fn check_header<R: Read + Seek>(reader: &mut R, name: &str) -> Result<(), AssetE
     let mut header = [0; HEADER_BYTES as usize];
     reader.read_exact(&mut header).map_err(io)?;
     reader.seek(SeekFrom::Start(0)).map_err(io)?;
-    if !sniff(&header) {
+    if !header.starts_with(b"ASTM-E57") {
         return Err(unsupported(name, "the signature ASTM-E57 is missing: not an E57 file"));
     }
     for (at, field) in [(16, "file length"), (24, "XML offset"), (32, "XML length")] {

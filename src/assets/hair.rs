@@ -5,7 +5,6 @@
 //! thickness is a diameter. Transparency is left out, with a warning.
 
 use std::io::Read;
-use std::path::Path;
 
 use glam::DVec3;
 
@@ -24,18 +23,10 @@ const COLORS: u32 = 16;
 /// Arrays are read in such pieces.
 const PIECE_BYTES: u64 = 1 << 20;
 
-/// Reads the file at `path`, gzipped or not; `name` begins every error.
-///
-/// # Errors
-/// Malformed or truncated content (naming the array), counts that the file cannot hold or that are over the limits.
-pub fn read(path: &Path, name: &str, options: &ReadOptions) -> Result<Asset, AssetError> {
-    read_from(Input::open(path, name, options)?, options)
-}
-
 /// Reads a HAIR file from `input`.
 ///
 /// # Errors
-/// As [`read`].
+/// Malformed or truncated content (naming the array), counts that the file cannot hold or that are over the limits.
 pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetError> {
     let Input { mut reader, origin } = input;
     let header = Header::read(&mut reader, &origin, options)?;

@@ -32,11 +32,6 @@ use record::{Columns, Layout};
 /// Records of an uncompressed file that are read at a time.
 const BATCH: u64 = 1 << 16;
 
-/// Whether a file that begins with `head` is LAS or LAZ.
-pub fn sniff(head: &[u8]) -> bool {
-    head.starts_with(b"LASF")
-}
-
 /// Reads a LAS, LAZ or COPC file.
 ///
 /// # Errors

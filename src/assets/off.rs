@@ -6,7 +6,6 @@
 
 use std::io::BufRead;
 use std::ops::Range;
-use std::path::Path;
 
 use glam::{DVec3, Vec2, Vec3};
 
@@ -21,19 +20,11 @@ const VERTEX_BYTES: u64 = 6;
 /// As does a face: its length, three indices, what separates them.
 const FACE_BYTES: u64 = 2;
 
-/// Reads the file at `path`, gzipped or not; `name` begins every error.
+/// Reads OFF from `input`.
 ///
 /// # Errors
 /// Malformed or truncated content (naming vertex or face), counts that the file cannot hold or that
 /// are over the limits, variants with another number of dimensions.
-pub fn read(path: &Path, name: &str, options: &ReadOptions) -> Result<Asset, AssetError> {
-    read_from(Input::open(path, name, options)?, options)
-}
-
-/// Reads OFF from `input`.
-///
-/// # Errors
-/// As [`read`].
 pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetError> {
     let Input { reader, origin } = input;
     let file = origin.name.as_str();

@@ -29,11 +29,6 @@ use sensor::Raster;
 /// Points that are read at a time.
 const BATCH: u64 = 1 << 14;
 
-/// Whether a file that begins with `head` is a PCD file.
-pub fn sniff(head: &[u8]) -> bool {
-    [&b"# .PCD"[..], b"VERSION ", b"VERSION\t", b"FIELDS "].iter().any(|s| head.starts_with(s))
-}
-
 /// Reads a PCD file.
 ///
 /// # Errors

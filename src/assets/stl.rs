@@ -7,7 +7,6 @@
 
 use std::collections::HashMap;
 use std::io::BufRead;
-use std::path::Path;
 
 use glam::DVec3;
 
@@ -23,18 +22,10 @@ const COLOR_MARK: &[u8] = b"COLOR=";
 /// The bit of an attribute beside its three channels of five bits. It says that VisCAM gave the facet a colour, or that Magics gave it none.
 const FLAG: u16 = 1 << 15;
 
-/// Reads the file at `path`, gzipped or not; `name` begins every error.
-///
-/// # Errors
-/// Malformed or truncated content (naming the facet), counts over the limits.
-pub fn read(path: &Path, name: &str, options: &ReadOptions) -> Result<Asset, AssetError> {
-    read_from(Input::open(path, name, options)?, options)
-}
-
 /// Reads STL from `input`.
 ///
 /// # Errors
-/// As [`read`].
+/// Malformed or truncated content (naming the facet), counts over the limits.
 pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetError> {
     let Input { reader, origin } = input;
     let mut warnings = Vec::new();

@@ -10,7 +10,6 @@
 //! `type` has the types. There are no colours.
 
 use std::collections::HashMap;
-use std::path::Path;
 
 use glam::DVec3;
 
@@ -33,19 +32,11 @@ const SOMA: f32 = 1.0;
 const BALL_TOLERANCE: f64 = 0.1;
 const COLUMNS: [&str; 7] = ["id", "type", "x", "y", "z", "radius", "parent"];
 
-/// Reads the file at `path`, gzipped or not; `name` begins every error.
+/// Reads SWC from `input`.
 ///
 /// # Errors
 /// Malformed content (naming line, node and column), numbers that two nodes have, nodes that are their own ancestors, counts
 /// over the limits.
-pub fn read(path: &Path, name: &str, options: &ReadOptions) -> Result<Asset, AssetError> {
-    read_from(Input::open(path, name, options)?, options)
-}
-
-/// Reads SWC from `input`.
-///
-/// # Errors
-/// As [`read`].
 pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetError> {
     let Input { reader, origin } = input;
     let mut warnings = Vec::new();

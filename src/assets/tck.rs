@@ -6,7 +6,6 @@
 //! Streamlines have the colours of their directions.
 
 use std::io::{BufRead, Read};
-use std::path::Path;
 
 use glam::DVec3;
 
@@ -21,18 +20,10 @@ const MAX_HEADER_BYTES: u64 = 4 << 20;
 /// Bytes that are decoded at a time, a whole number of triples of any type.
 const BLOCK_BYTES: usize = 48 << 12;
 
-/// Reads the file at `path`, gzipped or not; `name` begins every error.
-///
-/// # Errors
-/// Malformed or truncated content, counts over the limits.
-pub fn read(path: &Path, name: &str, options: &ReadOptions) -> Result<Asset, AssetError> {
-    read_from(Input::open(path, name, options)?, options)
-}
-
 /// Reads a track file from `input`.
 ///
 /// # Errors
-/// As [`read`].
+/// Malformed or truncated content, counts over the limits.
 pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetError> {
     let Input { mut reader, origin } = input;
     let file = origin.name.as_str();

@@ -10,7 +10,6 @@
 mod header;
 
 use std::io::Read;
-use std::path::Path;
 
 use glam::{DAffine3, DVec3};
 
@@ -28,18 +27,10 @@ const PIECE_BYTES: usize = 1 << 20;
 /// Names of scalars that are colours.
 pub(super) const COLORS: [&str; 5] = ["color", "colors", "colour", "colours", "rgb"];
 
-/// Reads the file at `path`, gzipped or not; `name` begins every error.
-///
-/// # Errors
-/// Malformed or truncated content (naming streamline and part), counts that the file cannot hold or that are over the limits.
-pub fn read(path: &Path, name: &str, options: &ReadOptions) -> Result<Asset, AssetError> {
-    read_from(Input::open(path, name, options)?, options)
-}
-
 /// Reads a track file from `input`.
 ///
 /// # Errors
-/// As [`read`].
+/// Malformed or truncated content (naming streamline and part), counts that the file cannot hold or that are over the limits.
 pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetError> {
     let Input { mut reader, origin } = input;
     let file = origin.name.as_str();

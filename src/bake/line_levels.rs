@@ -352,15 +352,17 @@ fn take_over(kept: &mut [Vertex], vertices: &[Vertex], stay: &[usize], error: f3
 /// Gives the vertices that stay the values of what they stand for: means by the area that is shown, and of classes the largest.
 fn take_over_values(kept: &mut [Vertex], vertices: &[Vertex], stay: &[usize], fields: &Layout) {
     let lengths = half_lengths(vertices);
-    let mut parts: Vec<Vec<(Values, f32)>> = vec![Vec::new(); kept.len()];
-    let add = |at: usize, vertex: usize, share: f32| {
+    let mut parts: Vec<(usize, (Values, f32))> = Vec::with_capacity(2 * vertices.len());
+    share_out(vertices, stay, |at, vertex, share| {
         let own = &vertices[vertex];
         // As colours do: strands of a width of 0 have values, too.
-        parts[at].push((own.packed.values, lengths[vertex] * share * own.radius.max(1e-6)));
-    };
-    share_out(vertices, stay, add);
-    for (vertex, parts) in kept.iter_mut().zip(&parts) {
-        vertex.packed.values = fields.above(parts.iter().copied());
+        let weight = lengths[vertex] * share * own.radius.max(1e-6);
+        parts.push((at, (own.packed.values, weight)));
+    });
+    // Stable, so that sums keep the order of the vertices.
+    parts.sort_by_key(|part| part.0);
+    for parts in parts.chunk_by(|a, b| a.0 == b.0) {
+        kept[parts[0].0].packed.values = fields.above(parts.iter().map(|part| part.1));
     }
 }
 

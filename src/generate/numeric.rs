@@ -4,7 +4,7 @@
 //! may use different code on different processors. Generated assets are compared byte by byte, so the generators use the
 //! polynomials below, which are accurate to 1e-12.
 
-use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::f64::consts::{FRAC_PI_2, PI};
 
 use glam::DVec3;
 
@@ -109,11 +109,6 @@ pub fn lerp(a: f64, b: f64, t: f64) -> f64 {
 pub fn smoothstep(low: f64, high: f64, x: f64) -> f64 {
     let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
-}
-
-/// Reduces an angle in radians to −π..π.
-pub fn wrap_angle(angle: f64) -> f64 {
-    angle - TAU * (angle / TAU).round()
 }
 
 #[cfg(test)]

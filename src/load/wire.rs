@@ -1,6 +1,7 @@
 //! The part of the server's HTTP contract that the generator uses: the requests that it sends, and the answers that it reads.
 
 use anyhow::{Context, bail, ensure};
+use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};
 use serde::Deserialize;
 
 use crate::math::{Camera, Lens};
@@ -56,17 +57,12 @@ impl Target {
     }
 }
 
+const ENCODED: &AsciiSet =
+    &NON_ALPHANUMERIC.remove(b'-').remove(b'.').remove(b'_').remove(b'~').remove(b',');
+
 /// Percent-encodes all bytes but unreserved characters and commas.
 pub fn percent_encoded(text: &str) -> String {
-    let mut encoded = String::with_capacity(text.len());
-    for byte in text.bytes() {
-        if byte.is_ascii_alphanumeric() || b"-._~,".contains(&byte) {
-            encoded.push(char::from(byte));
-        } else {
-            encoded += &format!("%{byte:02X}");
-        }
-    }
-    encoded
+    utf8_percent_encode(text, ENCODED).to_string()
 }
 
 /// The path and query of a `frame` or a `stream`. `parameters` are those that do not change between requests.

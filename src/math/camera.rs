@@ -3,10 +3,9 @@
 //! View space is right-handed with x to the right, y **up** and the viewing direction along **−z**. Image space has its origin at
 //! the top left, x to the right and y down. Pixel `(i, j)` covers `[i, i+1) × [j, j+1)`, with its centre at `(i + ½, j + ½)`.
 
-use clap::ValueEnum;
 use glam::{DAffine3, DMat3, DMat4, DVec2, DVec3, DVec4};
-use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
+
+use crate::words::words;
 
 /// A pose: the eye, the point that it looks at, and how much it sees.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,17 +31,15 @@ pub enum Lens {
     },
 }
 
-/// How a scene is projected to the image.
-#[derive(
-    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, ValueEnum, ToSchema,
-)]
-#[serde(rename_all = "snake_case")]
-pub enum Projection {
-    /// Things are smaller the farther away they are
-    #[default]
-    Perspective,
-    /// Things have the same size at every distance: rays are parallel, and what lies behind the eye is not drawn
-    Orthographic,
+words! {
+    /// How a scene is projected to the image.
+    pub enum Projection {
+        /// Things are smaller the farther away they are
+        #[default]
+        Perspective,
+        /// Things have the same size at every distance: rays are parallel, and what lies behind the eye is not drawn
+        Orthographic,
+    }
 }
 
 /// The view of a sensor that took an asset's points.

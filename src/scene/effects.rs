@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use glam::{DMat3, DVec3};
-use serde::{Deserialize, Serialize};
+
+use crate::words::words;
 
 /// Samples as discs that face the image plane, each at its own depth. Of the two diameters the larger one in the image counts.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,29 +66,17 @@ pub struct Environment {
     pub shown: bool,
 }
 
-/// How light of any strength becomes a colour that can be shown.
-#[derive(
-    Clone,
-    Copy,
-    Debug,
-    Default,
-    PartialEq,
-    Eq,
-    Hash,
-    Serialize,
-    Deserialize,
-    utoipa::ToSchema,
-    clap::ValueEnum,
-)]
-#[serde(rename_all = "snake_case")]
-pub enum ToneMap {
-    /// As it is; what is brighter than white is white
-    #[default]
-    None,
-    /// Colours stay what they are, and highlights are compressed and become white (Khronos PBR Neutral)
-    Neutral,
-    /// As film: more contrast, and colours that fade where they are bright (ACES, as fitted by Hill)
-    Aces,
+words! {
+    /// How light of any strength becomes a colour that can be shown.
+    pub enum ToneMap {
+        /// As it is; what is brighter than white is white
+        #[default]
+        None,
+        /// Colours stay what they are, and highlights are compressed and become white (Khronos PBR Neutral)
+        Neutral,
+        /// As film: more contrast, and colours that fade where they are bright (ACES, as fitted by Hill)
+        Aces,
+    }
 }
 
 /// Exposure and tone mapping of the light that surfaces reflect and give off.

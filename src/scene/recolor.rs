@@ -1,40 +1,27 @@
 //! Named colour maps, and colours by a value of the surface.
 
 use glam::DVec3;
-use serde::{Deserialize, Serialize};
 
 use super::fields::{class_color, class_number};
 use super::name::Name;
+use crate::words::words;
 
 /// Largest number of colours that a map has.
 pub const MOST_COLORS: usize = 12;
 
-/// A map from numbers to colours: linear in sRGB between colours at equal distances.
-#[derive(
-    Clone,
-    Copy,
-    Debug,
-    Default,
-    PartialEq,
-    Eq,
-    Hash,
-    Serialize,
-    Deserialize,
-    utoipa::ToSchema,
-    clap::ValueEnum,
-)]
-#[serde(rename_all = "snake_case")]
-#[value(rename_all = "snake_case")]
-pub enum ColorMap {
-    /// Dark violet through green to yellow; lightness grows evenly, also for colour-blind readers
-    #[default]
-    Viridis,
-    /// Dark blue through red to yellow; lightness grows evenly
-    Plasma,
-    /// Blue through yellow to red, lightest in the middle
-    Spectral,
-    /// Black to white
-    Grey,
+words! {
+    /// A map from numbers to colours: linear in sRGB between colours at equal distances.
+    pub enum ColorMap {
+        /// Dark violet through green to yellow; lightness grows evenly, also for colour-blind readers
+        #[default]
+        Viridis,
+        /// Dark blue through red to yellow; lightness grows evenly
+        Plasma,
+        /// Blue through yellow to red, lightest in the middle
+        Spectral,
+        /// Black to white
+        Grey,
+    }
 }
 
 impl ColorMap {

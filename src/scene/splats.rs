@@ -1,102 +1,48 @@
 //! How samples are drawn as splats (Zwicker et al. 2004): what a scene says, and what a request may say instead.
 
-use serde::{Deserialize, Serialize};
+use crate::words::words;
 
-/// How a kernel is taken to the image.
-#[derive(
-    Clone,
-    Copy,
-    Debug,
-    Default,
-    PartialEq,
-    Eq,
-    Hash,
-    Serialize,
-    Deserialize,
-    utoipa::ToSchema,
-    schemars::JsonSchema,
-    clap::ValueEnum,
-)]
-#[serde(rename_all = "snake_case")]
-pub enum Filter {
-    /// By the projection's linear approximation at the kernel's centre (Heckbert 1989; Zwicker et al. 2001): exact there.
-    Affine,
-    /// As the ellipse that the cut-off projects to (Zwicker et al. 2004, §4): exact at the outline.
-    #[default]
-    Perspective,
-    /// By intersecting each pixel's ray with the kernel's plane (Botsch et al. 2005): exact everywhere.
-    Exact,
-}
+words! {
+    /// How a kernel is taken to the image.
+    #[derive(schemars::JsonSchema)]
+    pub enum Filter {
+        /// By the projection's linear approximation at the kernel's centre (Heckbert 1989; Zwicker et al. 2001): exact there.
+        Affine,
+        /// As the ellipse that the cut-off projects to (Zwicker et al. 2004, §4): exact at the outline.
+        #[default]
+        Perspective,
+        /// By intersecting each pixel's ray with the kernel's plane (Botsch et al. 2005): exact everywhere.
+        Exact,
+    }
 
-/// How overlapping splats are combined.
-#[derive(
-    Clone,
-    Copy,
-    Debug,
-    Default,
-    PartialEq,
-    Eq,
-    Hash,
-    Serialize,
-    Deserialize,
-    utoipa::ToSchema,
-    schemars::JsonSchema,
-    clap::ValueEnum,
-)]
-#[serde(rename_all = "snake_case")]
-pub enum Blend {
-    /// Three passes: visibility, weighted sums, normalisation.
-    #[default]
-    Weighted,
-    /// One pass: the nearest splat alone, depth-tested.
-    Opaque,
-}
+    /// How overlapping splats are combined.
+    #[derive(schemars::JsonSchema)]
+    pub enum Blend {
+        /// Three passes: visibility, weighted sums, normalisation.
+        #[default]
+        Weighted,
+        /// One pass: the nearest splat alone, depth-tested.
+        Opaque,
+    }
 
-/// When splats are lit.
-#[derive(
-    Clone,
-    Copy,
-    Debug,
-    Default,
-    PartialEq,
-    Eq,
-    Hash,
-    Serialize,
-    Deserialize,
-    utoipa::ToSchema,
-    schemars::JsonSchema,
-    clap::ValueEnum,
-)]
-#[serde(rename_all = "snake_case")]
-pub enum Shading {
-    /// Once a pixel, from blended colours and normals (Phong splatting).
-    #[default]
-    Deferred,
-    /// Each splat by its own normal; lit colours are blended.
-    Splat,
-}
+    /// When splats are lit.
+    #[derive(schemars::JsonSchema)]
+    pub enum Shading {
+        /// Once a pixel, from blended colours and normals (Phong splatting).
+        #[default]
+        Deferred,
+        /// Each splat by its own normal; lit colours are blended.
+        Splat,
+    }
 
-/// Weights of the samples around a gap that pull-push fills (Marroquim et al. 2008, §3.3).
-#[derive(
-    Clone,
-    Copy,
-    Debug,
-    Default,
-    PartialEq,
-    Eq,
-    Hash,
-    Serialize,
-    Deserialize,
-    utoipa::ToSchema,
-    clap::ValueEnum,
-)]
-#[serde(rename_all = "snake_case")]
-pub enum PullPushWeights {
-    /// Elliptical Gaussians: smooth colours and normals.
-    #[default]
-    Gaussian,
-    /// Equal weights for all samples whose disks cover a place.
-    Box,
+    /// Weights of the samples around a gap that pull-push fills (Marroquim et al. 2008, §3.3).
+    pub enum PullPushWeights {
+        /// Elliptical Gaussians: smooth colours and normals.
+        #[default]
+        Gaussian,
+        /// Equal weights for all samples whose disks cover a place.
+        Box,
+    }
 }
 
 /// Parameters of pull-push reconstruction.
@@ -107,27 +53,15 @@ pub struct PullPush {
     pub weights: PullPushWeights,
 }
 
-/// What is blended when splats are painted (Coconu & Hege 2002, §5.4).
-#[derive(
-    Clone,
-    Copy,
-    Debug,
-    Default,
-    PartialEq,
-    Eq,
-    Hash,
-    Serialize,
-    Deserialize,
-    utoipa::ToSchema,
-    clap::ValueEnum,
-)]
-#[serde(rename_all = "snake_case")]
-pub enum Painting {
-    /// Surfaces: splats at the same depth are averaged first (Zwicker et al. 2004, §6)
-    #[default]
-    Surfaces,
-    /// Each splat by itself, as in the paper: faster, but the front splats of a surface get the largest weights
-    Splats,
+words! {
+    /// What is blended when splats are painted (Coconu & Hege 2002, §5.4).
+    pub enum Painting {
+        /// Surfaces: splats at the same depth are averaged first (Zwicker et al. 2004, §6)
+        #[default]
+        Surfaces,
+        /// Each splat by itself, as in the paper: faster, but the front splats of a surface get the largest weights
+        Splats,
+    }
 }
 
 /// Parameters of splats that are painted over each other.

@@ -96,57 +96,44 @@ pub(super) struct SceneFile {
 }
 
 /// A file, or a solid made of other assets: one of `file`, `union`, `intersection` and `difference`.
-#[derive(Debug, serde::Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Default, serde::Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub(super) struct AssetWire {
     /// Relative to the scene file, inside the scene root.
-    #[serde(default)]
     pub file: Option<String>,
     /// Turns the file's meshes into samples that cover their surface; `{}` chooses how densely.
-    #[serde(default)]
     pub sample: Option<Object<SampleWire>>,
     /// Whether sharp features of the file's points are looked for, false when absent.
-    #[serde(default)]
     pub features: Option<bool>,
     /// Turns the leaves and branches of the file's meshes into lines; `{}` does so with both.
-    #[serde(default)]
     pub as_lines: Option<Object<AsLinesWire>>,
     /// Radius of the file's lines, in its unit, in place of its own; without one, lines have a radius that follows from their size and number.
-    #[serde(default)]
     pub line_radius: Option<f64>,
     /// The union of these sampled solids.
-    #[serde(default)]
     pub union: Option<Vec<Object<OperandWire>>>,
     /// The intersection of these sampled solids.
-    #[serde(default)]
     pub intersection: Option<Vec<Object<OperandWire>>>,
     /// The first of these sampled solids without the others.
-    #[serde(default)]
     pub difference: Option<Vec<Object<OperandWire>>>,
 }
 
-#[derive(Debug, serde::Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Default, serde::Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub(super) struct SampleWire {
     /// Distance between neighbouring samples, in the file's unit.
-    #[serde(default)]
     pub spacing: Option<f64>,
     /// Degrees between faces above which their edge is sharp, 35 when absent.
-    #[serde(default)]
     pub crease: Option<f64>,
 }
 
-#[derive(Debug, serde::Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Default, serde::Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub(super) struct AsLinesWire {
     /// Whether leaves, which are strips of quads, become ribbons; true when absent.
-    #[serde(default)]
     pub leaves: Option<bool>,
     /// Whether branches, which are rows of rings, become tubes; true when absent.
-    #[serde(default)]
     pub branches: Option<bool>,
     /// Largest radius of a tube and half-width of a ribbon, in the file's unit; wider parts stay triangles. When absent, a hundredth and a twentieth of the mesh's diagonal.
-    #[serde(default)]
     pub max_radius: Option<f64>,
 }
 
@@ -171,32 +158,24 @@ pub(super) struct OperandWire {
     pub matrix: Option<[f64; 16]>,
 }
 
-#[derive(Debug, serde::Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Default, serde::Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub(super) struct SplatsWire {
     /// How a kernel is taken to the image, `perspective` when absent.
-    #[serde(default)]
     pub filter: Option<Filter>,
     /// How overlapping splats are combined, `weighted` when absent.
-    #[serde(default)]
     pub blend: Option<Blend>,
     /// When splats are lit, `deferred` when absent.
-    #[serde(default)]
     pub shading: Option<Shading>,
     /// Whether kernels are convolved with a low-pass filter of the image, true when absent.
-    #[serde(default)]
     pub prefilter: Option<bool>,
     /// Standard deviation of that filter in pixels, 0.1 to 4; 0.5 when absent.
-    #[serde(default)]
     pub lowpass: Option<f64>,
     /// Where kernels end, in their standard deviations, 0.5 to 4; 2 when absent.
-    #[serde(default)]
     pub cutoff: Option<f64>,
     /// Multiplies every kernel's axes, 0.01 to 100; 1 when absent.
-    #[serde(default)]
     pub width: Option<f64>,
     /// How far behind the nearest surface splats still count, in radii of the nearest splat, 0 to 100; 1 when absent.
-    #[serde(default)]
     pub depth_offset: Option<f64>,
 }
 
@@ -207,100 +186,73 @@ pub(super) struct PrototypeWire {
 }
 
 /// A transform (translate · rotate · scale, or one matrix), what it draws, its children.
-#[derive(Debug, serde::Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Default, serde::Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub(super) struct NodeWire {
-    #[serde(default)]
     pub name: Option<String>,
     /// Name of the asset drawn here.
-    #[serde(default)]
     pub asset: Option<String>,
     /// Name of the prototype drawn here.
-    #[serde(default)]
     pub prototype: Option<String>,
-    #[serde(default)]
     pub translate: Option<[f64; 3]>,
     /// Degrees about x, then y, then z, all about the parent's axes.
-    #[serde(default)]
     pub rotate: Option<[f64; 3]>,
     /// `[x, y, z, w]`, normalised on reading.
-    #[serde(default)]
     pub quaternion: Option<[f64; 4]>,
-    #[serde(default)]
     pub scale: Option<ScaleWire>,
     /// Column by column, the last row 0 0 0 1; instead of the others.
-    #[serde(default)]
     pub matrix: Option<[f64; 16]>,
     /// Name of a material for this node and all below.
-    #[serde(default)]
     pub material: Option<String>,
     /// True when absent; false hides everything below, too.
-    #[serde(default)]
     pub visible: Option<bool>,
-    #[serde(default)]
     pub repeat: Option<Object<RepeatWire>>,
-    #[serde(default)]
     pub children: Vec<Object<NodeWire>>,
 }
 
 /// Copies: `grid` with `step`, or `scatter` with `half_extent`.
-#[derive(Debug, serde::Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Default, serde::Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub(super) struct RepeatWire {
     /// Number of copies along x, y and z of the parent.
-    #[serde(default)]
     #[schemars(with = "Option<[u32; 3]>")]
     pub grid: Option<[Whole<u32>; 3]>,
     /// Distance between the grid's neighbours.
-    #[serde(default)]
     pub step: Option<[f64; 3]>,
     /// Number of copies strewn at random.
-    #[serde(default, deserialize_with = "whole::optional")]
+    #[serde(deserialize_with = "whole::optional")]
     pub scatter: Option<u32>,
     /// Half the edges of the box in which they are strewn, centred on the node.
-    #[serde(default)]
     pub half_extent: Option<[f64; 3]>,
     /// Smallest and largest uniform scale of a strewn copy, `[1, 1]` when absent.
-    #[serde(default)]
     pub scale: Option<[f64; 2]>,
     /// Whether each strewn copy is turned about the scene's up, false when absent.
-    #[serde(default)]
     pub turn: Option<bool>,
     /// 0 when absent.
-    #[serde(default, deserialize_with = "whole::optional")]
+    #[serde(deserialize_with = "whole::optional")]
     pub seed: Option<u64>,
 }
 
-#[derive(Debug, serde::Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Default, serde::Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub(super) struct MaterialWire {
-    #[serde(default)]
     pub color: Option<ColorWire>,
     /// Specular colour of Phong's model.
-    #[serde(default)]
     pub specular: Option<ColorWire>,
     /// Phong exponent, at least 1.
-    #[serde(default)]
     pub shininess: Option<f64>,
     /// From 0, for dielectrics, to 1, for metals; in the metallic-roughness model of glTF, which knows neither `specular` nor `shininess`.
-    #[serde(default)]
     pub metallic: Option<f64>,
     /// From 0, for mirrors, to 1; in the metallic-roughness model of glTF. Without it the asset's own, or 1.
-    #[serde(default)]
     pub roughness: Option<f64>,
     /// From 0 to 1, the share of the light that is not reflected which passes surfaces of meshes, tinted by their colour, in place of being
     /// scattered below them; in the metallic-roughness model of glTF. Without it the asset's own, or 0.
-    #[serde(default)]
     pub transmission: Option<f64>,
     /// Colour of light that the surface gives off.
-    #[serde(default)]
     pub emissive: Option<ColorWire>,
     /// Factor of `emissive`, 1 when absent.
-    #[serde(default)]
     pub emissive_strength: Option<f64>,
-    #[serde(default)]
     pub unlit: Option<bool>,
-    #[serde(default)]
     pub double_sided: Option<bool>,
 }
 

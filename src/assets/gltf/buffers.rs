@@ -8,10 +8,11 @@ use std::path::PathBuf;
 use ::gltf::json::accessor::{ComponentType, Type};
 use ::gltf::json::validation::Checked;
 use ::gltf::json::{Index, Root, accessor, buffer};
+use percent_encoding::percent_decode_str;
 
 use super::super::input::{Folder, Unread, read_bounded};
 use super::super::{AssetError, ReadOptions};
-use super::container::{data_uri, percent_decoded};
+use super::container::data_uri;
 use crate::memory::Admission;
 
 /// Work and memory that a document may cause, as multiples of what its buffers hold. An honest one
@@ -320,7 +321,8 @@ impl<'a> Buffers<'a> {
 
 /// Name and path of the file that a uri means.
 fn external(uri: &str, folder: Option<&Folder>) -> Result<(String, PathBuf), String> {
-    let name = String::from_utf8(percent_decoded(uri)).map_err(|_| "its uri is no text")?;
+    let name =
+        percent_decode_str(uri).decode_utf8().map_err(|_| "its uri is no text")?.into_owned();
     let folder = folder.ok_or("the asset lies in no folder, so it can name no files")?;
     let path = folder.resolve(&name).map_err(|reason| format!("{name} {reason}"))?;
     Ok((name, path))

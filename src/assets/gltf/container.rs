@@ -3,6 +3,7 @@
 use std::io::Read;
 
 use ::gltf::json::Root;
+use percent_encoding::percent_decode_str;
 use serde::Deserialize;
 
 use super::super::{AssetError, base64};
@@ -117,29 +118,8 @@ pub(super) fn data_uri(uri: &str) -> Option<Result<Vec<u8>, String>> {
         let bytes = base64::decode(body.as_bytes(), usize::MAX);
         bytes.ok_or_else(|| "its data URI is no base 64".to_owned())
     } else {
-        Ok(percent_decoded(body))
+        Ok(percent_decode_str(body).collect())
     })
-}
-
-/// `%20` and its kind undone.
-pub(in crate::assets) fn percent_decoded(text: &str) -> Vec<u8> {
-    let bytes = text.as_bytes();
-    let mut decoded = Vec::with_capacity(bytes.len());
-    let mut at = 0;
-    while let Some(&byte) = bytes.get(at) {
-        let hex = text.get(at + 1..at + 3).filter(|_| byte == b'%');
-        match hex.and_then(|hex| u8::from_str_radix(hex, 16).ok()) {
-            Some(value) => {
-                decoded.push(value);
-                at += 3;
-            }
-            None => {
-                decoded.push(byte);
-                at += 1;
-            }
-        }
-    }
-    decoded
 }
 
 #[cfg(test)]
@@ -153,6 +133,6 @@ mod tests {
         assert_eq!(data_uri("data:,a%20b%").unwrap().unwrap(), b"a b%");
         assert!(data_uri("data:;base64,*").unwrap().is_err());
         assert!(data_uri("x.bin").is_none());
-        assert_eq!(percent_decoded("%C3%A4%zz%"), "ä%zz%".as_bytes());
+        assert_eq!(data_uri("data:,%C3%A4%zz%+f%").unwrap().unwrap(), "ä%zz%+f%".as_bytes());
     }
 }

@@ -17,6 +17,7 @@ use ::gltf::json::material::AlphaMode;
 use ::gltf::json::texture::{self as json_texture, MagFilter, WrappingMode};
 use ::gltf::json::validation::Checked;
 use ::gltf::json::{Index, Root, Value, material};
+use percent_encoding::percent_decode_str;
 use serde_json::Map;
 
 use super::super::input::{Folder, read_bounded};
@@ -26,7 +27,7 @@ use super::super::{
     ScaledMap, Texture, Wrap,
 };
 use super::buffers::Buffers;
-use super::container::{data_uri, percent_decoded};
+use super::container::data_uri;
 
 /// How a primitive's texture coordinates are to be read for its material.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -351,7 +352,7 @@ impl<'a> Materials<'a> {
         if let Some(bytes) = data_uri(uri) {
             return bytes;
         }
-        let name = String::from_utf8(percent_decoded(uri)).map_err(|_| "its uri is no text")?;
+        let name = percent_decode_str(uri).decode_utf8().map_err(|_| "its uri is no text")?;
         let folder = self.folder.ok_or("the asset lies in no folder")?;
         let path = folder.resolve(&name).map_err(|reason| format!("{name} {reason}"))?;
         read_bounded(&path, self.budget.max_encoded_bytes(), self.budget.admission())

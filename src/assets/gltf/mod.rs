@@ -19,13 +19,10 @@ mod skin;
 #[cfg(test)]
 mod tests;
 
-use std::path::Path;
-
 use ::gltf::json::Root;
 
 use self::buffers::Buffers;
 pub use self::container::names_no_files;
-pub(super) use self::container::percent_decoded;
 use self::material::Materials;
 use self::primitive::Primitives;
 use super::input::Input;
@@ -48,20 +45,12 @@ const SUPPORTED: [&str; 12] = [
     "KHR_texture_transform",
 ];
 
-/// Reads the file at `path`, gzipped or not; `name` begins every error.
+/// Reads glTF from `input`.
 ///
 /// # Errors
 /// Malformed JSON, indices or ranges that lead nowhere (naming the object), buffers that are missing,
 /// outside the root or too short, required extensions that are not offered, counts over the limits.
 /// Textures that cannot be read are warnings.
-pub fn read(path: &Path, name: &str, options: &ReadOptions) -> Result<Asset, AssetError> {
-    read_from(Input::open(path, name, options)?, options)
-}
-
-/// Reads glTF from `input`.
-///
-/// # Errors
-/// As [`read`].
 pub fn read_from(mut input: Input, options: &ReadOptions) -> Result<Asset, AssetError> {
     let bytes = input.read_all()?;
     let file = input.origin.name.as_str();

@@ -15,7 +15,6 @@ mod weave;
 mod tests;
 
 use std::collections::HashMap;
-use std::path::Path;
 
 use glam::{DAffine3, DVec3, Vec2, Vec3};
 
@@ -35,19 +34,11 @@ const NONE: u32 = u32::MAX;
 /// The colour of a vertex that has none in a file that has colours.
 const UNCOLORED: [f32; 4] = [-1.0; 4];
 
-/// Reads the file at `path`, gzipped or not; `name` begins every error.
+/// Reads OBJ from `input`.
 ///
 /// # Errors
 /// Malformed content (naming line, element and property), indices that lead nowhere, counts over the
 /// limits. Materials and textures that cannot be read are warnings.
-pub fn read(path: &Path, name: &str, options: &ReadOptions) -> Result<Asset, AssetError> {
-    read_from(Input::open(path, name, options)?, options)
-}
-
-/// Reads OBJ from `input`.
-///
-/// # Errors
-/// As [`read`].
 pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetError> {
     let Input { reader, origin } = input;
     let mut statements = Statements::new(&origin.name, options);

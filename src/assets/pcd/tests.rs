@@ -127,12 +127,6 @@ fn errors_name_field_and_point() {
     assert!(error(lies).contains("cannot expand"), "{}", error(lies));
 }
 
-#[test]
-fn signatures() {
-    assert!(sniff(HEADER.as_bytes()) && sniff(b"VERSION .7\n"));
-    assert!(!sniff(b"ply\n") && !sniff(b""));
-}
-
 proptest! {
     #[test]
     fn damage_is_answered(which: bool, at in 0usize..500, byte: u8, cut in 0usize..500) {

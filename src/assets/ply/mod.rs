@@ -18,7 +18,6 @@ mod vertices;
 mod tests;
 
 use std::io::BufRead;
-use std::path::Path;
 
 use glam::{DVec3, Vec2};
 
@@ -44,19 +43,11 @@ const INDEX_LISTS: [&str; 2] = ["vertex_indices", "vertex_index"];
 const CORNER_UVS: [&str; 1] = ["texcoord"];
 const NO_UVS: [Vec2; 3] = [Vec2::ZERO; 3];
 
-/// Reads the file at `path`, gzipped or not; `name` begins every error.
+/// Reads PLY from `input`.
 ///
 /// # Errors
 /// Malformed or truncated content (naming element, index and property), counts over the limits,
 /// Gaussian splats.
-pub fn read(path: &Path, name: &str, options: &ReadOptions) -> Result<Asset, AssetError> {
-    read_from(Input::open(path, name, options)?, options)
-}
-
-/// Reads PLY from `input`.
-///
-/// # Errors
-/// As [`read`].
 pub fn read_from(input: Input, options: &ReadOptions) -> Result<Asset, AssetError> {
     let Input { reader, origin } = input;
     let file = origin.name.as_str();
@@ -146,7 +137,7 @@ pub(super) fn announced(input: Input, options: &ReadOptions) -> Result<Option<u6
 /// the whole file: give what a first call has found to a second one.
 ///
 /// # Errors
-/// As [`read`]; those of `visit`.
+/// As [`read_from`]; those of `visit`.
 pub(super) fn each(
     input: Input,
     options: &ReadOptions,

@@ -8,9 +8,9 @@ mod scanner;
 use std::io::BufRead;
 
 use glam::DVec3;
+use percent_encoding::percent_decode_str;
 
 use self::scanner::Scanner;
-use super::super::gltf::percent_decoded;
 use super::super::input::{Input, Origin};
 use super::super::tokens::shown;
 use super::super::{Asset, AssetError, ReadOptions};
@@ -330,7 +330,7 @@ impl<R: BufRead> File<'_, R> {
 
     fn name(&mut self, place: &str) -> Result<String, AssetError> {
         let word = self.word(place)?;
-        Ok(String::from_utf8_lossy(&percent_decoded(&word)).into_owned())
+        Ok(percent_decode_str(&word).decode_utf8_lossy().into_owned())
     }
 
     /// Arrays of any shape.

@@ -1,5 +1,6 @@
 use std::io::Write;
 
+use ::base64::Engine as _;
 use glam::DVec3;
 use proptest::prelude::*;
 
@@ -298,16 +299,7 @@ struct Xml {
 }
 
 fn base64(bytes: &[u8]) -> String {
-    const ALPHABET: &[u8] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut text = String::new();
-    for group in bytes.chunks(3) {
-        let all = (0..3).fold(0u32, |all, at| all << 8 | u32::from(*group.get(at).unwrap_or(&0)));
-        for at in 0..4 {
-            let letter = ALPHABET[(all >> (18 - 6 * at) & 63) as usize];
-            text.push(if at > group.len() { '=' } else { letter as char });
-        }
-    }
-    text
+    ::base64::engine::general_purpose::STANDARD.encode(bytes)
 }
 
 impl Xml {

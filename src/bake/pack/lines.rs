@@ -138,10 +138,8 @@ impl PackedLines {
 
     /// Both ends of a segment of a chunk.
     pub fn ends(&self, chunk: &PackedChunk, segment: usize) -> Option<[LineEnd; 2]> {
-        let [link, _] = *self.segments.get(segment)?;
-        let end = |shift: u32| {
-            let words =
-                self.vertices.get((chunk.vertex_first + (link >> shift & 0x3ff)) as usize)?;
+        let end = |vertex: usize| {
+            let words = self.vertices.get(vertex)?;
             Some(LineEnd {
                 position: self.grid.position(cell_of(words)),
                 radius: f64::from(f32::from_bits(words[4])) * self.grid.step,
@@ -150,7 +148,14 @@ impl PackedLines {
                 side: words[6],
             })
         };
-        Some([end(0)?, end(10)?])
+        let [a, b] = self.vertices_of(chunk, segment)?;
+        Some([end(a)?, end(b)?])
+    }
+
+    /// The vertices of a segment of a chunk.
+    fn vertices_of(&self, chunk: &PackedChunk, segment: usize) -> Option<[usize; 2]> {
+        let [link, _] = *self.segments.get(segment)?;
+        Some([0, 10].map(|shift| (chunk.vertex_first + (link >> shift & 0x3ff)) as usize))
     }
 
     /// The codes of a vertex's fields.
@@ -161,9 +166,7 @@ impl PackedLines {
 
     /// The codes of the fields at both ends of a segment of a chunk.
     pub fn end_values(&self, chunk: &PackedChunk, segment: usize) -> Option<[&[u32]; 2]> {
-        let [link, _] = *self.segments.get(segment)?;
-        let vertex = |shift: u32| (chunk.vertex_first + (link >> shift & 0x3ff)) as usize;
-        Some([0, 10].map(|shift| self.values_of(vertex(shift))))
+        Some(self.vertices_of(chunk, segment)?.map(|vertex| self.values_of(vertex)))
     }
 
     /// The strand of a segment, and the number of the segment in it.

@@ -6,21 +6,21 @@ use std::time::Instant;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::{Extension, State};
-use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 use utoipa::ToSchema;
 
+use super::jobs;
 use super::wire::{JobState, film_problem, job_problem, video_problem};
-use super::{jobs, no_query};
 use crate::encode::ImageFormat;
 use crate::engine::RequestId;
 use crate::film::video::{Coder, Reel};
 use crate::http::frame::missing;
 use crate::http::params::{self, FrameParams, unknown_name};
 use crate::http::problem::{Kind, Problem};
-use crate::http::{App, Owner, Phase, body};
+use crate::http::{App, NoQuery, Owner, Phase, body};
 use crate::jobs::{FrameSpec, Origin, PathChoice, Repeat, Spec, Want, find_shots};
 use crate::json::{self, whole};
 
@@ -108,11 +108,10 @@ pub async fn create(
     State(app): State<Arc<App>>,
     Extension(owner): Extension<Owner>,
     Extension(request_id): Extension<RequestId>,
-    uri: Uri,
+    _: NoQuery,
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
-    no_query(&uri)?;
     let jobs = jobs(&app)?;
     let patience = app.settings.read_timeout;
     let admission = app.engine.admission();

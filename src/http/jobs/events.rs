@@ -8,16 +8,16 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::{Extension, State};
-use axum::http::{HeaderMap, StatusCode, Uri};
+use axum::http::{HeaderMap, StatusCode};
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use futures::Stream;
 
 use super::watchers::Watcher;
 use super::wire::{JobState, StateName};
-use super::{blocking, job_id, jobs, no_query};
+use super::{blocking, job_id, jobs};
 use crate::http::problem::Problem;
-use crate::http::{App, Caller, Owner, Segments};
+use crate::http::{App, Caller, NoQuery, Owner, Segments};
 use crate::jobs::{JobId, Jobs, View};
 
 /// Shortest time between two events.
@@ -51,10 +51,9 @@ pub async fn events(
     Extension(Caller(client, caps)): Extension<Caller>,
     Extension(owner): Extension<Owner>,
     Segments(id): Segments<String>,
-    uri: Uri,
+    _: NoQuery,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    no_query(&uri)?;
     let view = blocking(&app, &owner, &id, |jobs, id| jobs.view(id)).await?;
     let jobs = jobs(&app)?;
     let known =

@@ -14,14 +14,14 @@ use futures::Stream;
 use super::file::{Content, Served, serve};
 use super::watchers::Watcher;
 use super::wire::{JobState, damaged, job_problem, unknown_job};
-use super::{blocking, job_id, jobs, no_query};
+use super::{blocking, job_id, jobs};
 use crate::film::Record;
 use crate::film::manifest::read_sound;
 use crate::http::conditional::{media_type, none_match_hits};
 use crate::http::frames::boundary;
 use crate::http::params::{integer, once, pairs, unknown_name};
 use crate::http::problem::{Kind, PROBLEM_JSON, Problem};
-use crate::http::{App, Caller, Owner, Segments};
+use crate::http::{App, Caller, NoQuery, Owner, Segments};
 use crate::jobs::{Found, JobError, JobId, Jobs};
 
 /// Longer files are checked by their length alone, and not read into memory.
@@ -62,10 +62,9 @@ pub async fn frame(
     Extension(owner): Extension<Owner>,
     Segments((id, number)): Segments<(String, String)>,
     method: Method,
-    uri: Uri,
+    _: NoQuery,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    no_query(&uri)?;
     let is_plain = !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit());
     let Some(number) = number.parse::<u64>().ok().filter(|_| is_plain) else {
         let shown: String = number.chars().take(64).collect();
@@ -180,10 +179,9 @@ pub async fn manifest(
     State(app): State<Arc<App>>,
     Extension(owner): Extension<Owner>,
     Segments(id): Segments<String>,
-    uri: Uri,
+    _: NoQuery,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    no_query(&uri)?;
     let text = blocking(&app, &owner, &id, |jobs, id| {
         jobs.view(id)?;
         let file = jobs.place(id).manifest();

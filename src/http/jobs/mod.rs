@@ -35,7 +35,7 @@ use axum::http::{StatusCode, Uri};
 use self::wire::{JobList, JobState, StateName, job_problem};
 use super::params::{once, pairs, unknown_name};
 use super::problem::{Kind, Problem};
-use super::{App, Owner, Segments};
+use super::{App, NoQuery, Owner, Segments};
 use crate::jobs::{JobError, JobId, Jobs};
 
 /// The jobs of this server.
@@ -55,14 +55,6 @@ fn jobs(app: &App) -> Result<Jobs, Problem> {
 fn job_id(text: &str) -> Result<JobId, Problem> {
     let is_plain = !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
     text.parse().ok().filter(|_| is_plain).ok_or_else(|| wire::unknown_job(text))
-}
-
-/// Refuses any query parameter.
-fn no_query(uri: &Uri) -> Result<(), Problem> {
-    match pairs(uri.query())?.first() {
-        Some((name, _)) => Err(unknown_name(name, &[], &[]).accepted("no parameters here")),
-        None => Ok(()),
-    }
 }
 
 /// Runs a closure on a thread that may block; for the job of an address, only if the job belongs to `owner`.
@@ -145,9 +137,8 @@ pub async fn show(
     State(app): State<Arc<App>>,
     Extension(owner): Extension<Owner>,
     Segments(id): Segments<String>,
-    uri: Uri,
+    _: NoQuery,
 ) -> Result<Json<JobState>, Problem> {
-    no_query(&uri)?;
     let view = blocking(&app, &owner, &id, |jobs, id| jobs.view(id)).await?;
     Ok(Json(JobState::new(&view)))
 }
@@ -165,9 +156,8 @@ pub async fn cancel(
     State(app): State<Arc<App>>,
     Extension(owner): Extension<Owner>,
     Segments(id): Segments<String>,
-    uri: Uri,
+    _: NoQuery,
 ) -> Result<Json<JobState>, Problem> {
-    no_query(&uri)?;
     let view = blocking(&app, &owner, &id, |jobs, id| jobs.cancel(id).and_then(|()| jobs.view(id)))
         .await?;
     Ok(Json(JobState::new(&view)))
@@ -187,9 +177,8 @@ pub async fn resume(
     State(app): State<Arc<App>>,
     Extension(owner): Extension<Owner>,
     Segments(id): Segments<String>,
-    uri: Uri,
+    _: NoQuery,
 ) -> Result<Json<JobState>, Problem> {
-    no_query(&uri)?;
     let view = blocking(&app, &owner, &id, |jobs, id| jobs.resume(id).and_then(|()| jobs.view(id)))
         .await?;
     Ok(Json(JobState::new(&view)))
@@ -208,9 +197,8 @@ pub async fn remove(
     State(app): State<Arc<App>>,
     Extension(owner): Extension<Owner>,
     Segments(id): Segments<String>,
-    uri: Uri,
+    _: NoQuery,
 ) -> Result<StatusCode, Problem> {
-    no_query(&uri)?;
     blocking(&app, &owner, &id, |jobs, id| jobs.remove(id)).await?;
     Ok(StatusCode::NO_CONTENT)
 }

@@ -3,14 +3,14 @@
 use std::sync::Arc;
 
 use axum::extract::{Extension, State};
-use axum::http::{HeaderMap, HeaderValue, Method, Uri};
+use axum::http::{HeaderMap, HeaderValue, Method};
 use axum::response::Response;
 
+use super::blocking;
 use super::file::{Content, Served, serve};
 use super::wire::{JobState, StateName, damaged};
-use super::{blocking, no_query};
 use crate::http::problem::{Kind, Problem};
-use crate::http::{App, Owner, Segments};
+use crate::http::{App, NoQuery, Owner, Segments};
 
 /// The film as a video: H.264 in MP4, playable while it downloads. Range requests are supported, so that players can seek.
 #[utoipa::path(
@@ -41,10 +41,9 @@ pub async fn video(
     Extension(owner): Extension<Owner>,
     Segments(id): Segments<String>,
     method: Method,
-    uri: Uri,
+    _: NoQuery,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    no_query(&uri)?;
     let (view, file, length) = blocking(&app, &owner, &id, |jobs, id| {
         let file = jobs.place(id).video();
         let length = std::fs::metadata(&file).ok().map(|found| found.len());

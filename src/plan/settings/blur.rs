@@ -1,45 +1,41 @@
 //! Settings of depth of field and motion blur.
 
-use clap::ValueEnum;
-use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
-
 use super::{Aperture, FocusDistance, Output, Settings, Shutter};
+use crate::words::words;
 
-/// Number of exposures whose mean a frame is.
-#[derive(
-    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema, ValueEnum,
-)]
-pub enum BlurSamples {
-    /// A draft, in which blur is a few shifted images
-    #[serde(rename = "4")]
-    #[value(name = "4")]
-    Exposures4,
-    /// For slight blur, of some 4 pixels
-    #[serde(rename = "8")]
-    #[value(name = "8")]
-    Exposures8,
-    /// For blur of some 8 pixels
-    #[serde(rename = "16")]
-    #[value(name = "16")]
-    Exposures16,
-    /// For blur of some 12 pixels
-    #[default]
-    #[serde(rename = "32")]
-    #[value(name = "32")]
-    Exposures32,
-    /// For blur of some 20 pixels
-    #[serde(rename = "64")]
-    #[value(name = "64")]
-    Exposures64,
-    /// For blur of some 30 pixels
-    #[serde(rename = "128")]
-    #[value(name = "128")]
-    Exposures128,
-    /// For wide blur of small bright things
-    #[serde(rename = "256")]
-    #[value(name = "256")]
-    Exposures256,
+words! {
+    /// Number of exposures whose mean a frame is.
+    pub enum BlurSamples {
+        /// A draft, in which blur is a few shifted images
+        #[serde(rename = "4")]
+        #[value(name = "4")]
+        Exposures4,
+        /// For slight blur, of some 4 pixels
+        #[serde(rename = "8")]
+        #[value(name = "8")]
+        Exposures8,
+        /// For blur of some 8 pixels
+        #[serde(rename = "16")]
+        #[value(name = "16")]
+        Exposures16,
+        /// For blur of some 12 pixels
+        #[default]
+        #[serde(rename = "32")]
+        #[value(name = "32")]
+        Exposures32,
+        /// For blur of some 20 pixels
+        #[serde(rename = "64")]
+        #[value(name = "64")]
+        Exposures64,
+        /// For blur of some 30 pixels
+        #[serde(rename = "128")]
+        #[value(name = "128")]
+        Exposures128,
+        /// For wide blur of small bright things
+        #[serde(rename = "256")]
+        #[value(name = "256")]
+        Exposures256,
+    }
 }
 
 impl BlurSamples {
@@ -108,6 +104,7 @@ impl Settings {
 mod tests {
     use super::*;
     use crate::math::MOST_EXPOSURES;
+    use clap::ValueEnum;
 
     #[test]
     fn blur_needs_an_aperture_or_a_moving_camera() {

@@ -1,48 +1,39 @@
 //! Settings of shadows.
 
-use clap::ValueEnum;
-use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
-
 use super::Settings;
 use crate::plan::SceneFacts;
+use crate::words::words;
 
-/// Whether lights cast shadows.
-#[derive(
-    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema, ValueEnum,
-)]
-#[serde(rename_all = "snake_case")]
-#[value(rename_all = "snake_case")]
-pub enum Shadows {
-    /// Those of the scene's lights that have `"shadows": true`
-    #[default]
-    On,
-    /// None
-    Off,
-}
+words! {
+    /// Whether lights cast shadows.
+    pub enum Shadows {
+        /// Those of the scene's lights that have `"shadows": true`
+        #[default]
+        On,
+        /// None
+        Off,
+    }
 
-/// Side of a shadow map in pixels.
-#[derive(
-    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema, ValueEnum,
-)]
-pub enum ShadowPx {
-    /// A sixteenth of the default's pixels
-    #[serde(rename = "512")]
-    #[value(name = "512")]
-    Side512,
-    /// A quarter of the default's pixels
-    #[serde(rename = "1024")]
-    #[value(name = "1024")]
-    Side1024,
-    /// Shadows of a scene that fills the frame have edges as exact as a pixel
-    #[default]
-    #[serde(rename = "2048")]
-    #[value(name = "2048")]
-    Side2048,
-    /// Four times the default's pixels
-    #[serde(rename = "4096")]
-    #[value(name = "4096")]
-    Side4096,
+    /// Side of a shadow map in pixels.
+    pub enum ShadowPx {
+        /// A sixteenth of the default's pixels
+        #[serde(rename = "512")]
+        #[value(name = "512")]
+        Side512,
+        /// A quarter of the default's pixels
+        #[serde(rename = "1024")]
+        #[value(name = "1024")]
+        Side1024,
+        /// Shadows of a scene that fills the frame have edges as exact as a pixel
+        #[default]
+        #[serde(rename = "2048")]
+        #[value(name = "2048")]
+        Side2048,
+        /// Four times the default's pixels
+        #[serde(rename = "4096")]
+        #[value(name = "4096")]
+        Side4096,
+    }
 }
 
 impl ShadowPx {

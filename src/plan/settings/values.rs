@@ -12,6 +12,7 @@ use crate::scene::fields::SceneField;
 use crate::scene::name::Name;
 use crate::scene::recolor::Recolor;
 use crate::scene::{Blend, Discs, EyeDome, Shading, color};
+use crate::words::words;
 
 /// How long a frame waits for normals and kernels that its samples lack, where it is left open how they are drawn.
 #[derive(
@@ -391,207 +392,106 @@ impl utoipa::PartialSchema for Background {
 
 impl utoipa::ToSchema for Background {}
 
-/// When eye-dome lighting is used.
-#[derive(
-    Clone,
-    Copy,
-    Debug,
-    Default,
-    PartialEq,
-    Eq,
-    Hash,
-    Serialize,
-    Deserialize,
-    utoipa::ToSchema,
-    clap::ValueEnum,
-)]
-#[serde(rename_all = "snake_case")]
-#[value(rename_all = "snake_case")]
-pub enum Edl {
-    /// For samples that have no normals and are not lit, except with `reconstruct=fuzzy` and `painted`
-    #[default]
-    Auto,
-    /// Always; `reconstruct=fuzzy` and `painted` are drawn in three passes instead
-    On,
-    /// Never
-    Off,
-}
+words! {
+    /// When eye-dome lighting is used.
+    pub enum Edl {
+        /// For samples that have no normals and are not lit, except with `reconstruct=fuzzy` and `painted`
+        #[default]
+        Auto,
+        /// Always; `reconstruct=fuzzy` and `painted` are drawn in three passes instead
+        On,
+        /// Never
+        Off,
+    }
 
-/// Level of detail.
-#[derive(
-    Clone,
-    Copy,
-    Debug,
-    Default,
-    PartialEq,
-    Eq,
-    Hash,
-    Serialize,
-    Deserialize,
-    utoipa::ToSchema,
-    clap::ValueEnum,
-)]
-#[serde(rename_all = "snake_case")]
-#[value(rename_all = "snake_case")]
-pub enum Lod {
-    /// Every sample and triangle.
-    #[default]
-    Full,
-    /// As fine as the accepted error asks for, from sequential point trees (Dachsbacher et al. 2003).
-    Spt,
-}
+    /// Level of detail.
+    pub enum Lod {
+        /// Every sample and triangle.
+        #[default]
+        Full,
+        /// As fine as the accepted error asks for, from sequential point trees (Dachsbacher et al. 2003).
+        Spt,
+    }
 
-/// How the error of a point tree's node is measured (Dachsbacher et al. 2003, §3.4).
-#[derive(
-    Clone,
-    Copy,
-    Debug,
-    Default,
-    PartialEq,
-    Eq,
-    Hash,
-    Serialize,
-    Deserialize,
-    utoipa::ToSchema,
-    clap::ValueEnum,
-)]
-#[serde(rename_all = "snake_case")]
-#[value(rename_all = "snake_case")]
-pub enum ErrorMode {
-    /// Errors are the same from every angle, so that the accepted error holds everywhere
-    #[default]
-    Unified,
-    /// Errors depend on the viewing angle, which draws fewer nodes. The outline of a surface seen at an angle may be off by twice the
-    /// accepted error.
-    Split,
-}
+    /// How the error of a point tree's node is measured (Dachsbacher et al. 2003, §3.4).
+    pub enum ErrorMode {
+        /// Errors are the same from every angle, so that the accepted error holds everywhere
+        #[default]
+        Unified,
+        /// Errors depend on the viewing angle, which draws fewer nodes. The outline of a surface seen at an angle may be off by twice the
+        /// accepted error.
+        Split,
+    }
 
-/// Parts of a pixel that are averaged.
-#[derive(
-    Clone,
-    Copy,
-    Debug,
-    Default,
-    PartialEq,
-    Eq,
-    Hash,
-    Serialize,
-    Deserialize,
-    utoipa::ToSchema,
-    clap::ValueEnum,
-)]
-pub enum Antialias {
-    /// A pixel shows what its centre shows
-    #[default]
-    #[serde(rename = "off")]
-    #[value(name = "off")]
-    Off,
-    /// Mean of 2 × 2 parts
-    #[serde(rename = "4x")]
-    #[value(name = "4x")]
-    Parts4,
-    /// Mean of 4 × 4 parts
-    #[serde(rename = "16x")]
-    #[value(name = "16x")]
-    Parts16,
-}
+    /// Parts of a pixel that are averaged.
+    pub enum Antialias {
+        /// A pixel shows what its centre shows
+        #[default]
+        #[serde(rename = "off")]
+        #[value(name = "off")]
+        Off,
+        /// Mean of 2 × 2 parts
+        #[serde(rename = "4x")]
+        #[value(name = "4x")]
+        Parts4,
+        /// Mean of 4 × 4 parts
+        #[serde(rename = "16x")]
+        #[value(name = "16x")]
+        Parts16,
+    }
 
-/// Meaning of the colours of surfaces.
-#[derive(
-    Clone,
-    Copy,
-    Debug,
-    Default,
-    PartialEq,
-    Eq,
-    Hash,
-    Serialize,
-    Deserialize,
-    utoipa::ToSchema,
-    clap::ValueEnum,
-)]
-#[serde(rename_all = "snake_case")]
-#[value(rename_all = "snake_case")]
-pub enum ColorBy {
-    /// Colours of the file
-    #[default]
-    Colors,
-    /// Height of each node above the leaves of its tree (Dachsbacher et al. 2003, Fig. 1)
-    Levels,
-    /// Distance along the scene's up direction
-    Height,
-    /// World-space normal: x, y and z as red, green and blue
-    Normal,
-    /// A hue for each instance
-    Instance,
-    /// Strength of the returned signal, of samples whose file has it
-    Intensity,
-    /// Class of each sample, in the customary colours of ASPRS classes
-    Classification,
-    /// Number of the return among those of its pulse
-    ReturnNumber,
-    /// Any scalar field of the file; `field` names it
-    Field,
-}
+    /// Meaning of the colours of surfaces.
+    pub enum ColorBy {
+        /// Colours of the file
+        #[default]
+        Colors,
+        /// Height of each node above the leaves of its tree (Dachsbacher et al. 2003, Fig. 1)
+        Levels,
+        /// Distance along the scene's up direction
+        Height,
+        /// World-space normal: x, y and z as red, green and blue
+        Normal,
+        /// A hue for each instance
+        Instance,
+        /// Strength of the returned signal, of samples whose file has it
+        Intensity,
+        /// Class of each sample, in the customary colours of ASPRS classes
+        Classification,
+        /// Number of the return among those of its pulse
+        ReturnNumber,
+        /// Any scalar field of the file; `field` names it
+        Field,
+    }
 
-/// How a surface is made of projected samples.
-#[derive(
-    Clone,
-    Copy,
-    Debug,
-    Default,
-    PartialEq,
-    Eq,
-    Hash,
-    Serialize,
-    Deserialize,
-    utoipa::ToSchema,
-    clap::ValueEnum,
-)]
-#[serde(rename_all = "snake_case")]
-#[value(rename_all = "snake_case")]
-pub enum Reconstruct {
-    /// Points where samples are denser than pixels, splats where they are not.
-    #[default]
-    Auto = 3,
-    /// One pixel a sample, or round points of `point_size`.
-    Points = 0,
-    /// Elliptical Gaussians in the samples' tangent planes (Zwicker et al. 2004).
-    Splats = 1,
-    /// Splats that are blended and depth-tested in a single pass (Dachsbacher et al. 2003, §5): faster, coarser in weights and depths.
-    Fuzzy = 2,
-    /// Splats that are sorted by distance and blended in that order (Coconu & Hege 2002): smooth outlines, and what is behind thin
-    /// things shows through.
-    Painted = 5,
-    /// One pixel a sample, and gaps filled from coarser levels of the image (Marroquim et al. 2008): costs what the pixels cost, however
-    /// large the splats would be.
-    PullPush = 4,
-}
+    /// How a surface is made of projected samples.
+    pub enum Reconstruct {
+        /// Points where samples are denser than pixels, splats where they are not.
+        #[default]
+        Auto = 3,
+        /// One pixel a sample, or round points of `point_size`.
+        Points = 0,
+        /// Elliptical Gaussians in the samples' tangent planes (Zwicker et al. 2004).
+        Splats = 1,
+        /// Splats that are blended and depth-tested in a single pass (Dachsbacher et al. 2003, §5): faster, coarser in weights and depths.
+        Fuzzy = 2,
+        /// Splats that are sorted by distance and blended in that order (Coconu & Hege 2002): smooth outlines, and what is behind thin
+        /// things shows through.
+        Painted = 5,
+        /// One pixel a sample, and gaps filled from coarser levels of the image (Marroquim et al. 2008): costs what the pixels cost, however
+        /// large the splats would be.
+        PullPush = 4,
+    }
 
-/// Which image of the frame is wanted.
-#[derive(
-    Clone,
-    Copy,
-    Debug,
-    Default,
-    PartialEq,
-    Eq,
-    Hash,
-    Serialize,
-    Deserialize,
-    utoipa::ToSchema,
-    clap::ValueEnum,
-)]
-#[serde(rename_all = "snake_case")]
-#[value(rename_all = "snake_case")]
-pub enum Output {
-    /// Shaded sRGB, straight alpha.
-    #[default]
-    Color,
-    /// Distance along the viewing axis in scene units; infinite where nothing is.
-    Depth,
-    /// World-space unit normals, `n · ½ + ½` in the colour channels.
-    Normal,
-    /// Which instance covers the pixel, see [`crate::encode::FrameImage::Id`].
-    Id,
+    /// Which image of the frame is wanted.
+    pub enum Output {
+        /// Shaded sRGB, straight alpha.
+        #[default]
+        Color,
+        /// Distance along the viewing axis in scene units; infinite where nothing is.
+        Depth,
+        /// World-space unit normals, `n · ½ + ½` in the colour channels.
+        Normal,
+        /// Which instance covers the pixel, see [`crate::encode::FrameImage::Id`].
+        Id,
+    }
 }
