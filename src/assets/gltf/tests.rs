@@ -535,7 +535,7 @@ fn buffers_come_from_files_and_data_uris() {
     let mut read = |uri: &str, length: usize, options: &ReadOptions| {
         document.json["buffers"] = json!([{ "uri": uri, "byteLength": length }]);
         std::fs::write(&path, serde_json::to_vec(&document.json).unwrap()).unwrap();
-        super::read(&path, "m.gltf", options)
+        read_from(Input::open(&path, "m.gltf", options)?, options)
     };
     assert_eq!(read("a%20b.bin", length, &options).unwrap().format, "gltf");
     for uri in ["../out.bin", "http://x/a.bin", "gone.bin", "/etc/passwd"] {
@@ -560,7 +560,9 @@ fn buffers_that_do_not_fit_are_told_with_figures() {
     std::fs::write(folder.path().join("a.bin"), &document.buffer).unwrap();
     document.json["buffers"] = json!([{ "uri": "a.bin", "byteLength": 1 << 20 }]);
     std::fs::write(&path, serde_json::to_vec(&document.json).unwrap()).unwrap();
-    let read = |options: &ReadOptions| super::read(&path, "m.gltf", options).unwrap_err();
+    let read = |options: &ReadOptions| {
+        read_from(Input::open(&path, "m.gltf", options).unwrap(), options).unwrap_err()
+    };
     let admission = Admission::new(&HostMemory::new(256 << 10));
     match read(&ReadOptions { admission, ..ReadOptions::default() }) {
         AssetError::Interrupted(Interrupt::OutOfMemory(error)) => {

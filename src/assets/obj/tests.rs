@@ -169,7 +169,9 @@ impl Folder {
     }
 
     fn read(&self, name: &str) -> Asset {
-        super::read(&self.0.path().join(name), name, &ReadOptions::default()).unwrap()
+        let options = ReadOptions::default();
+        read_from(Input::open(&self.0.path().join(name), name, &options).unwrap(), &options)
+            .unwrap()
     }
 }
 

@@ -362,13 +362,14 @@ fn texture_files_are_found() {
         .replace("float z\r\n", "float z\r\nproperty float s\r\nproperty float t\r\n")
         .replace(" 0\r\n", " 0 0.25 1\r\n");
     let path = folder.path().join("m.ply");
+    let options = ReadOptions::default();
     std::fs::write(&path, &text).unwrap();
-    let asset = super::read(&path, "m.ply", &ReadOptions::default()).unwrap();
+    let asset = read_from(Input::open(&path, "m.ply", &options).unwrap(), &options).unwrap();
     assert_eq!(asset.textures[0].rgba, texels);
     assert_eq!(mesh(&asset).uvs.as_ref().unwrap()[0], Vec2::new(0.25, 0.0));
     assert_eq!(mesh(&asset).parts, [MeshPart { triangles: 2, material: Some(0) }]);
     std::fs::write(&path, text.replace("a b.png", "gone.png")).unwrap();
-    let asset = super::read(&path, "m.ply", &ReadOptions::default()).unwrap();
+    let asset = read_from(Input::open(&path, "m.ply", &options).unwrap(), &options).unwrap();
     assert_eq!((asset.textures.len(), asset.warnings.len()), (0, 1));
 }
 
