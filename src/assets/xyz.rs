@@ -15,8 +15,8 @@
 //! Other numbers of columns are read group by group in the same way. Blanks, tabs, commas and
 //! semicolons separate columns. Where a header names columns between commas or semicolons, blanks are part of a
 //! column, and so are separators between double quotes. Where semicolons separate, or blanks do and x, y and z
-//! have a comma each, the comma is the decimal sign. Lines that begin with `#` or `//` are comments (a first one
-//! that names x, y and z is a header), a line with one whole number is a count of points, as PTS has it.
+//! have a comma each, the comma is the decimal sign. Lines that begin with `#` or `//` are comments; a first one
+//! that names x, y and z is a header. A line with one whole number is a count of points, as PTS has it.
 
 mod layout;
 
@@ -86,11 +86,12 @@ impl Delimiter {
             halves.is_some_and(|(a, b)| a.parse::<i64>().is_ok() && b.parse::<u64>().is_ok())
         };
         let coordinates = line.split_ascii_whitespace().take(3).filter(decimal).count();
-        if line.contains(';') {
+        let has = |separator: char| line.split('"').step_by(2).any(|bare| bare.contains(separator));
+        if has(';') {
             Self::Semicolon
         } else if coordinates == 3 {
             Self::BlankDecimalComma
-        } else if line.contains(',') {
+        } else if has(',') {
             Self::Comma
         } else {
             Self::Blank
@@ -109,10 +110,15 @@ impl Delimiter {
         };
         let line = line.strip_suffix(separator).unwrap_or(line);
         if are_whole {
-            let mut is_quoted = false;
+            // Quotes enclose a column that begins with one. In others they are text, as in 5".
+            let (mut is_begin, mut has_quotes, mut is_open) = (true, false, false);
             let ends = |letter: char| {
-                is_quoted ^= letter == '"';
-                letter == separator && !is_quoted
+                has_quotes |= is_begin && letter == '"';
+                is_open ^= has_quotes && letter == '"';
+                let is_end = letter == separator && !is_open;
+                is_begin = is_end || is_begin && letter.is_ascii_whitespace();
+                has_quotes &= !is_end;
+                is_end
             };
             return line.split(ends).for_each(|column| take(column.trim()));
         }

@@ -108,10 +108,10 @@ impl Known {
         Known { key, measured, grounds, planner, pace, asked }
     }
 
-    /// Settings that a request may be drawn with. Requests that differ in their goals, their clip boxes and a slider of the look alone share an answer,
+    /// Settings that a request may be drawn with. Requests that differ in what [`Settings::with_some_goal_and_look`] replaces alone share an answer,
     /// since these change from frame to frame.
     fn asked(&self, settings: &Settings) -> Asked {
-        let kind = settings.with_some_goal();
+        let kind = settings.with_some_goal_and_look();
         if let Some(known) = self.asked.lock().get(&kind) {
             return known.looking_like(settings);
         }

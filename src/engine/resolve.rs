@@ -40,7 +40,8 @@ struct Checked {
     view: View,
     /// The view of the image that the frame is a part of, or the frame's own.
     whole: View,
-    /// The same from an unshifted eye. What is chosen for it is chosen for all parts of an image, and for both images of a stereo pair.
+    /// The view of the whole image from an unshifted eye. What is chosen for this view is chosen for all parts of an image, and for both images
+    /// of a stereo pair.
     middle: View,
     /// Distance of what both images of a stereo pair show in the same place, if the frame is one of them.
     stereo: Option<f64>,

@@ -162,7 +162,7 @@ pub struct Alternative {
 }
 
 impl Asked {
-    /// The answer for a request that differs from the one asked about in what [`Settings::with_some_goal`] replaces alone.
+    /// The answer for a request that differs from the one asked about in what [`Settings::with_some_goal_and_look`] replaces alone.
     #[must_use]
     pub fn looking_like(&self, settings: &Settings) -> Asked {
         let rows = self.rows.iter().map(|(row, own)| (*row, own.looking_like(settings)));

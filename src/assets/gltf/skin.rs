@@ -10,7 +10,8 @@ use glam::{DAffine3, DMat4};
 use super::super::{AssetError, Placement};
 use super::buffers::Buffers;
 
-/// Places skinned meshes: ranges of `placements`, each with the number of its skin. Those of a skin without a usable joint stand as they are.
+/// Places skinned meshes: ranges of `placements`, each with the number of its skin. Meshes of a skin without a usable joint, or whose matrices
+/// cannot be read, stand as they are stored.
 pub(super) fn place(
     placements: &mut [Placement],
     skinned: Vec<(Range<usize>, usize)>,

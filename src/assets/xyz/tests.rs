@@ -112,6 +112,8 @@ fn text_in_a_column_may_have_blanks() {
     for text in [
         "x,y,z,Zone,height above ground\n0,0,1,pine wood,2\n0,0,2, ,7\n",
         "x,y,z,\"Zone\",height above ground\n0, 0 ,1,\"wood, old pine\",2\n0,0,2,\"\",7\n",
+        "x,y,z,Zone,height above ground\n0,0,1,\"pine; old\",2\n0,0,2,5\",7\n",
+        "x,y,z,Zone,height above ground\n0,0,1, \"a \"\"b\"\", c\",2\n0,0,2,\"\",7\n",
         "x;y;z;Zone;height above ground;\n0;0;1;pine; 2\n0;0;2,0;two small trees;7;\n",
     ] {
         let cloud = cloud_of(text);

@@ -201,7 +201,7 @@ fn requests_that_look_otherwise_have_the_same_choice() {
         let goal = moved.goal().unwrap();
         planner.choose(&goal, asked, &grounds[..1], &Paces::default(), is_clipped).unwrap()
     };
-    let of_any = planner.asked(&moved.with_some_goal());
+    let of_any = planner.asked(&moved.with_some_goal_and_look());
     let shared = chosen(&of_any.looking_like(&moved));
     assert_eq!(shared, chosen(&planner.asked(&moved)));
     assert_eq!((shared.settings.clip_boxes, shared.plan.keeps), (moved.clip_boxes, None));

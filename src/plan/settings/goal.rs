@@ -33,7 +33,7 @@ impl Settings {
     /// The settings with one value in place of any other of the goal, the clip boxes, and the numbers of the look that sliders change from frame to
     /// frame. What may be chosen is the same for all of these values.
     #[must_use]
-    pub fn with_some_goal(&self) -> Settings {
+    pub fn with_some_goal_and_look(&self) -> Settings {
         fn some<T: PartialEq + Default + From<f64>>(own: T, other: f64) -> T {
             if own == T::default() { own } else { other.into() }
         }
