@@ -307,6 +307,22 @@ fn an_upload_reaches_every_server() {
     }
 }
 
+/// Browsers send the origin of a page with its port, and the server compares it with the name that it was called by.
+#[test]
+fn a_page_may_change_scenes_through_a_balancer() {
+    for kind in BALANCERS {
+        let daemon = Daemon::start(&[]);
+        let Some(balancer) = kind.start([daemon.address; 3]) else { continue };
+        let (client, ply) = (balancer.client(), grid_ply());
+        let origin = format!("http://{}", balancer.address);
+        let headers = [("origin", origin.as_str())];
+        let path = "/v1/scenes?id=own&name=a.ply";
+        let reply = client.send("POST", path, &headers, Some(ply.as_bytes()));
+        assert_eq!(reply.status, 201, "{kind:?}: {}", reply.text());
+        assert_eq!(client.get("/metrics").status, 200, "{kind:?}");
+    }
+}
+
 /// If a default daemon refused the health check, no server would be up.
 #[test]
 fn all_servers_gone_is_said() {
