@@ -189,10 +189,10 @@ impl Access {
         match self {
             Access::Open { cors_origins, .. } => {
                 let anybody_reads = cors_origins.iter().any(|origin| origin == "*");
-                if route == STREAM && !anybody_reads && is_foreign(headers, cors_origins) {
+                if route == STREAM && !anybody_reads && is_foreign(uri, headers, cors_origins) {
                     return Err(foreign(headers, "open a stream").into());
                 }
-                if scope > Scope::Read && is_foreign(headers, cors_origins) {
+                if scope > Scope::Read && is_foreign(uri, headers, cors_origins) {
                     return Err(foreign(headers, "change anything").into());
                 }
                 Ok(None)
@@ -369,13 +369,17 @@ fn protocol_key(headers: &HeaderMap) -> Option<&[u8]> {
 }
 
 /// Returns whether a browser sent this request for a page of another origin.
-fn is_foreign(headers: &HeaderMap, cors_origins: &[String]) -> bool {
+fn is_foreign(uri: &Uri, headers: &HeaderMap, cors_origins: &[String]) -> bool {
     let Some(origin) = headers.get(header::ORIGIN) else { return false };
     let Ok(origin) = origin.to_str() else { return true };
     if cors_origins.iter().any(|allowed| allowed == origin) {
         return false;
     }
-    let host = headers.get(header::HOST).and_then(|host| host.to_str().ok());
+    // HTTP/2 has the host in the address.
+    let host = match uri.authority() {
+        Some(authority) => Some(authority.as_str()),
+        None => headers.get(header::HOST).and_then(|host| host.to_str().ok()),
+    };
     match (origin.split_once("://"), host) {
         (Some((_, authority)), Some(host)) => !authority.eq_ignore_ascii_case(host),
         _ => true,

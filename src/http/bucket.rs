@@ -93,17 +93,17 @@ impl<K: Eq + Hash> Table<K> {
 
     /// Returns the bucket of a key, which begins full. A changed rate applies from now on.
     pub fn bucket(&mut self, key: K, rate: Rate, now: Instant) -> &mut Bucket {
-        if self.buckets.len() >= self.most && !self.buckets.contains_key(&key) {
-            let is_due = self.swept_at.is_none_or(|at| now.duration_since(at) >= SWEEP_EVERY);
-            if is_due {
-                self.swept_at = Some(now);
-                self.buckets.retain(|_, bucket| !bucket.is_full(now));
-            }
-            if self.buckets.len() >= self.most {
-                return self.rest.get_or_insert_with(|| Bucket::full(rate, now));
-            }
+        let is_new = !self.buckets.contains_key(&key);
+        let is_due = self.swept_at.is_none_or(|at| now.duration_since(at) >= SWEEP_EVERY);
+        if is_new && is_due && self.buckets.len() >= self.most {
+            self.swept_at = Some(now);
+            self.buckets.retain(|_, bucket| !bucket.is_full(now));
         }
-        let bucket = self.buckets.entry(key).or_insert_with(|| Bucket::full(rate, now));
+        let full = || Bucket::full(rate, now);
+        let bucket = match is_new && self.buckets.len() >= self.most {
+            true => self.rest.get_or_insert_with(full),
+            false => self.buckets.entry(key).or_insert_with(full),
+        };
         if bucket.rate != rate {
             bucket.refill(now);
             bucket.rate = rate;

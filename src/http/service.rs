@@ -308,9 +308,10 @@ pub async fn limits(
     })
 }
 
-pub async fn unknown_route(uri: Uri) -> Problem {
+pub async fn unknown_route(State(app): State<Arc<App>>, uri: Uri) -> Problem {
     let path: String = uri.path().chars().take(128).collect();
-    let known = ROUTES.iter().copied().filter(|route| route.starts_with('/'));
+    let is_here = |route: &&str| *route != "/metrics" || !app.settings.edge.metrics_apart;
+    let known = ROUTES.iter().copied().filter(|route| route.starts_with('/')).filter(is_here);
     let problem = Problem::new(Kind::UnknownRoute, format!("there is nothing at {path}"));
     match nearest(&path, known) {
         Some(route) => problem.accepted(format!("{route}; all routes are in /openapi.yaml")),

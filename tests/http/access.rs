@@ -301,7 +301,10 @@ fn metrics_move_to_a_listener_of_their_own() {
     // This port was free a moment ago.
     let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let daemon = Daemon::start(&["--metrics-listen", &address.to_string()]);
-    assert_eq!(daemon.client().get("/metrics").status, 404);
+    let moved = daemon.client().get("/metrics");
+    assert_eq!(moved.status, 404);
+    let accepted = moved.problem()["accepted"].to_string();
+    assert!(!accepted.contains("/metrics"), "what is not there is not suggested: {accepted}");
     let client = Client::new(address);
     assert!(client.get("/metrics").text().contains("pointillist_http_requests_total"));
     assert_eq!((client.get("/healthz").status, client.get("/readyz").status), (200, 200));

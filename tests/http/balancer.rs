@@ -307,6 +307,38 @@ fn an_upload_reaches_every_server() {
     }
 }
 
+/// Browsers send the origin of a page with its port, and the server compares it with the name that it was called by.
+#[test]
+fn a_page_may_change_scenes_through_a_balancer() {
+    for kind in BALANCERS {
+        let daemon = Daemon::start(&[]);
+        let Some(balancer) = kind.start([daemon.address; 3]) else { continue };
+        let (client, ply) = (balancer.client(), grid_ply());
+        let origin = format!("http://{}", balancer.address);
+        let headers = [("origin", origin.as_str())];
+        let path = "/v1/scenes?id=own&name=a.ply";
+        let reply = client.send("POST", path, &headers, Some(ply.as_bytes()));
+        assert_eq!(reply.status, 201, "{kind:?}: {}", reply.text());
+        assert_eq!(client.get("/metrics").status, 200, "{kind:?}");
+    }
+}
+
+/// The client's own address is that of a trusted proxy here.
+#[test]
+fn nginx_passes_no_forged_address_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("access.log");
+    let args = ["--trusted-proxies", "127.0.0.1", "--access-log", log.to_str().unwrap()];
+    let daemon = Daemon::start(&args);
+    let Some(balancer) = Balancer::Nginx.start([daemon.address; 3]) else { return };
+    let forged = [("x-forwarded-for", "192.0.2.1")];
+    assert_eq!(balancer.client().send("GET", "/v1/scenes/grid", &forged, None).status, 200);
+    let logged = || std::fs::read_to_string(&log).unwrap();
+    // The line is written when the answer has been sent.
+    eventually("a line", || logged().contains("\"target\":\"grid\""));
+    assert!(!logged().contains("192.0.2.1"), "{}", logged());
+}
+
 /// If a default daemon refused the health check, no server would be up.
 #[test]
 fn all_servers_gone_is_said() {

@@ -106,6 +106,14 @@ fn foreign_pages_cannot_change_scenes() {
     assert!(from("https://app.example"));
     assert!(!from("https://evil.example"));
     assert!(!from("null"));
+    // HTTP/2 names the host in the address, and has no `Host`.
+    let over_http2 = |origin: &'static str| {
+        let uri = Uri::from_static("https://render.example:8443/v1/scenes");
+        let headers = HeaderMap::from_iter([(header::ORIGIN, HeaderValue::from_static(origin))]);
+        access.check(&Method::POST, &uri, "/v1/scenes", &headers).is_ok()
+    };
+    assert!(over_http2("https://render.example:8443"));
+    assert!(!over_http2("https://evil.example"));
     let none = HeaderMap::new();
     assert!(access.check(&Method::POST, &Uri::default(), "/v1/scenes", &none).is_ok());
 }

@@ -173,3 +173,25 @@ async fn forget_failure(app: Arc<App>, id: String, load: Load) {
         claim.finish(Ended::Gone);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A proxy that gives up first answers 504 for an upload that succeeds.
+    #[test]
+    fn the_proxies_wait_for_as_long_as_clients_may() {
+        const HAPROXY: [&str; 2] = ["backend keeper\n", "timeout server "];
+        const NGINX: [&str; 2] = ["location / {\n", "proxy_read_timeout "];
+        for (text, [section, setting]) in [
+            (include_str!("../../../deploy/haproxy.cfg"), HAPROXY),
+            (include_str!("../../../deploy/kubernetes/haproxy.cfg"), HAPROXY),
+            (include_str!("../../../deploy/nginx.conf"), NGINX),
+        ] {
+            let (_, section) = text.split_once(section).unwrap();
+            let (_, value) = section.split_once(setting).unwrap();
+            let (seconds, _) = value.split_once('s').unwrap();
+            assert!(Duration::from_secs(seconds.parse().unwrap()) > MAX_WAIT, "{seconds}");
+        }
+    }
+}
