@@ -332,7 +332,6 @@ impl Worker {
         self.store.check().await.map_err(text)?;
         let order = self.store.order(&run.film).await.map_err(text)?;
         let Some(order) = order else { return Ok(Ended::Over) };
-        let order: FilmOrder = serde_json::from_slice(&order).map_err(text)?;
         let (before, _) = self.change_tries(run, |tries| tries.begin(&self.name)).await?;
         match judge(before.begun(), before.deaths(), run.frames.len()) {
             Verdict::Draw => {}
