@@ -63,7 +63,10 @@ fn runs_stay_queued_while_the_broker_hangs() {
     cluster.signal_broker("-STOP");
     // The worker stores the rest of its run, so the daemon has to queue another one.
     when(&client, &id, "a failure of the broker", |job| job["waits_for"].is_string());
+    let has_counts = || client.get("/metrics").text().contains("pointillist_worker_runs{");
+    eventually("counts that are unknown", || !has_counts());
     cluster.signal_broker("-CONT");
+    eventually("counts that are known again", has_counts);
     ended(&client, &id, "done");
     let log = daemon.log();
     assert!(log.contains("a film waits") && !log.contains(LOST), "{log}");
