@@ -444,7 +444,11 @@ impl Worker {
         if missing.is_empty() {
             return Ok(());
         }
-        let opened = self.open_scene(&order).await;
+        let opened = tokio::select! {
+            opened = self.open_scene(&order) => opened,
+            // The load goes on until the process ends.
+            () = stopped(stop) => Err("the worker stops".to_owned()),
+        };
         opened.map_err(|why| Failure { why, is_own: true })?;
         die_at(&missing);
         let began = Instant::now();

@@ -107,6 +107,24 @@ fn a_daemon_that_drains_keeps_what_workers_stored() {
 }
 
 #[test]
+fn a_worker_that_reads_a_scene_can_be_stopped() {
+    let Some(cluster) = Cluster::start() else { return };
+    let daemon = cluster.daemon();
+    create(&daemon.client(), long());
+    let has = |name: &str| cluster.films().iter().any(|file| file.to_string_lossy().contains(name));
+    eventually("an order", || has("order.json"));
+    // Nobody writes into these pipes, so that a reader waits for ever.
+    for asset in std::fs::read_dir(cluster.store().join("assets")).unwrap() {
+        let asset = asset.unwrap().path();
+        std::fs::remove_file(&asset).unwrap();
+        assert!(Command::new("mkfifo").arg(&asset).status().unwrap().success());
+    }
+    let mut worker = cluster.worker(&[], &[]);
+    eventually("a run that is begun", || has("/tries/"));
+    assert!(worker.terminate());
+}
+
+#[test]
 fn a_consumer_that_skips_runs_is_recreated() {
     let Some(cluster) = Cluster::start() else { return };
     let url = format!("nats://127.0.0.1:{}", cluster.port);
