@@ -4,6 +4,7 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use anyhow::Context;
 use clap::Args;
@@ -120,7 +121,7 @@ pub fn run(args: WorkerArgs) -> anyhow::Result<()> {
     let engine = Engine::start(engine_config(&settings, root.clone())?)?;
     let address = Address { url: args.nats, credentials: args.nats_credentials, ca: args.nats_ca };
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
-    runtime.block_on(async {
+    let worked = runtime.block_on(async {
         let signal = stop_signal()?;
         store.try_writing().await.context("a worker must be able to write to the store")?;
         let worker = Worker::new(&address, store, engine.clone(), &root).await?;
@@ -132,7 +133,10 @@ pub fn run(args: WorkerArgs) -> anyhow::Result<()> {
         stop.store(true, Ordering::Relaxed);
         working.await?;
         anyhow::Ok(())
-    })
+    });
+    // Do not wait for a scene that is still being read.
+    runtime.shutdown_timeout(Duration::from_millis(100));
+    worked
 }
 
 #[cfg(test)]

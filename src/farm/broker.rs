@@ -14,8 +14,10 @@ use async_nats::connection::State;
 use async_nats::jetstream::consumer::{AckPolicy, PullConsumer, pull};
 use async_nats::jetstream::context::Context;
 use async_nats::jetstream::message::PublishMessage;
-use async_nats::jetstream::stream::{self, RetentionPolicy, StorageType};
-use async_nats::jetstream::{self, Message};
+use async_nats::jetstream::stream::{
+    self, ConsumerError, ConsumerErrorKind, RetentionPolicy, StorageType,
+};
+use async_nats::jetstream::{self, ErrorCode, Message};
 use async_nats::{Client, ClientError, ConnectOptions, Event, ServerAddr, Subscriber};
 use bytes::Bytes;
 use futures::StreamExt;
@@ -28,6 +30,7 @@ use tokio_rustls::rustls::pki_types::pem::PemObject;
 use super::Said;
 use super::messages::{RUNS, Run, STREAM, runs, runs_of};
 use super::pacing::{ACK_WAIT, PULL};
+use crate::jobs::Queued;
 
 /// Time limit of a request to the server.
 const REQUEST: Duration = Duration::from_secs(5);
@@ -156,17 +159,6 @@ impl Reporter {
 pub struct Broker {
     client: Client,
     context: Context,
-}
-
-/// Numbers of runs of a kind.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Queued {
-    /// Runs that no worker has.
-    pub pending: u64,
-    /// Runs that workers have.
-    pub drawing: u64,
-    /// Runs that workers have and that were delivered more than once.
-    pub redelivered: u64,
 }
 
 impl Broker {
@@ -322,9 +314,15 @@ impl Broker {
         Ok(())
     }
 
-    /// Returns how many runs of a kind there are.
+    /// Returns how many runs of a kind there are. Before the first film there is no consumer, and nothing is queued.
     pub async fn queued(&self, kind: &str) -> Result<Queued, BrokerError> {
-        let consumer = self.consumer(kind).await?;
+        let found: Result<PullConsumer, ConsumerError> =
+            self.context.get_consumer_from_stream(kind, STREAM).await;
+        let consumer = match found {
+            Ok(consumer) => consumer,
+            Err(error) if is_missing(&error) => return Ok(Queued::default()),
+            Err(error) => return Err(failed("find the consumer")(error)),
+        };
         let info = consumer.cached_info();
         Ok(Queued {
             pending: info.num_pending,
@@ -355,6 +353,12 @@ impl Broker {
     pub async fn flush(&self) {
         let _ = tokio::time::timeout(REQUEST, self.client.flush()).await;
     }
+}
+
+/// Returns whether the server answered that there is no such consumer, or no stream.
+fn is_missing(error: &ConsumerError) -> bool {
+    let missing = [ErrorCode::CONSUMER_NOT_FOUND, ErrorCode::STREAM_NOT_FOUND];
+    matches!(error.kind(), ConsumerErrorKind::JetStream(answer) if missing.contains(&answer.error_code()))
 }
 
 /// Waits for a run; `None` if there is none for a while.
@@ -401,6 +405,20 @@ mod tests {
         let file = tempfile::NamedTempFile::new().unwrap();
         let none = refusal(file.path().to_str().unwrap()).await;
         assert!(none.contains("there are none in the file"), "{none}");
+    }
+
+    /// The server's answers as they come over the wire, and the lack of one.
+    #[test]
+    fn only_an_answer_says_that_nothing_is_queued() {
+        let answered = |code: u64| {
+            let text = format!(r#"{{"code": 404, "err_code": {code}, "description": "no"}}"#);
+            let answer: jetstream::Error = serde_json::from_str(&text).unwrap();
+            is_missing(&ConsumerError::from(answer))
+        };
+        assert!(answered(10014) && answered(10059));
+        assert!(!answered(10008), "JetStream is temporarily unavailable");
+        let silent = [ConsumerErrorKind::TimedOut, ConsumerErrorKind::Request];
+        assert!(!silent.map(ConsumerError::new).iter().any(is_missing));
     }
 
     #[tokio::test]

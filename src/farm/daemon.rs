@@ -12,7 +12,7 @@ use sha2::{Digest, Sha256};
 use tokio::runtime::Handle;
 use tokio::sync::OnceCell;
 
-use super::broker::{Address, Broker, BrokerError, Queued};
+use super::broker::{Address, Broker, BrokerError};
 use super::bundle::{Hashes, pack};
 use super::desk::Desk;
 use super::messages::{BEATS, Beat, FilmOrder, Note, Run, notes};
@@ -23,7 +23,7 @@ use super::{Said, kind_of, stopped};
 use crate::engine::{Engine, RequestId};
 use crate::film::manifest::digits;
 use crate::film::{Drawn, FilmError, Keep};
-use crate::jobs::{Load, Order, Remote};
+use crate::jobs::{Load, Order, Queued, Remote};
 
 /// Time after which a job says that no worker can draw it.
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -62,7 +62,8 @@ struct Shared {
     address: String,
     adapter: String,
     roster: Mutex<Roster>,
-    queued: Mutex<Queued>,
+    /// `None` while the broker or the store does not answer.
+    queued: Mutex<Option<Queued>>,
     set_aside: AtomicU64,
     /// Films that share the workers now.
     films: AtomicU64,
@@ -143,13 +144,12 @@ async fn count_queued(shared: Arc<Shared>) {
     let said = Said::default();
     loop {
         let queued = match shared.kind().await {
-            // Before the first film, there is no consumer, and nothing is queued.
-            Ok(kind) => shared.broker.queued(kind).await.unwrap_or_default(),
+            Ok(kind) => shared.broker.queued(kind).await.ok(),
             Err(error) => {
                 if said.is_due(&error.to_string()) {
                     tracing::warn!(%error, "films wait for the store");
                 }
-                Queued::default()
+                None
             }
         };
         *shared.queued.lock() = queued;
@@ -189,23 +189,14 @@ async fn clean_store(store: Store) {
 impl Remote for Farm {
     fn load(&self) -> Load {
         let now = Instant::now();
-        let Queued { pending, drawing, redelivered } = *self.shared.queued.lock();
+        let queued = *self.shared.queued.lock();
         let set_aside = self.shared.set_aside.load(Ordering::Relaxed);
         let roster = self.shared.roster.lock();
         let (kind, identity) = (self.shared.known_kind(), &self.shared.identity);
         let (workers, paused_workers) = (roster.of_kind(kind, now), roster.paused(kind, now));
         let other_workers = roster.others(kind, identity, now).into_values().sum();
         let is_connected = self.shared.broker.is_connected();
-        Load {
-            is_connected,
-            workers,
-            paused_workers,
-            other_workers,
-            pending,
-            drawing,
-            redelivered,
-            set_aside,
-        }
+        Load { is_connected, workers, paused_workers, other_workers, queued, set_aside }
     }
 
     fn draw(

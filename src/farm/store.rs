@@ -27,7 +27,7 @@ use serde::Deserialize;
 use sha2::{Digest, Sha256};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
-use super::messages::Bundle;
+use super::messages::{Bundle, FilmOrder};
 use super::tries::Tries;
 use crate::engine::RequestId;
 use crate::film::manifest::{are_digits, digits};
@@ -247,9 +247,14 @@ impl Store {
         self.put(&order_path(film), order.into()).await
     }
 
-    /// Returns the description of a film; `None` if the film is over.
-    pub async fn order(&self, film: &str) -> Result<Option<Bytes>, StoreError> {
-        self.get(&order_path(film)).await
+    /// Returns the description of a film; `None` if the film is over, or if the description is damaged. The server stores it again
+    /// when it notices that workers drop the film's runs.
+    pub async fn order(&self, film: &str) -> Result<Option<FilmOrder>, StoreError> {
+        let Some(text) = self.get(&order_path(film)).await? else { return Ok(None) };
+        let read = serde_json::from_slice(&text).inspect_err(|error| {
+            tracing::warn!(film, %error, "a film's order in the store is damaged");
+        });
+        Ok(read.ok())
     }
 
     /// Stores a frame under its tag.

@@ -50,7 +50,7 @@ pub struct Worker {
     name: String,
     /// The engine's root. Each scene has its own folder there.
     folder: PathBuf,
-    /// The hash of the bundle of each loaded scene.
+    /// The key of each loaded scene, by id; see [`scene_key`].
     scenes: tokio::sync::Mutex<HashMap<String, String>>,
     state: Mutex<State>,
     streak: Mutex<Streak>,
@@ -332,7 +332,6 @@ impl Worker {
         self.store.check().await.map_err(text)?;
         let order = self.store.order(&run.film).await.map_err(text)?;
         let Some(order) = order else { return Ok(Ended::Over) };
-        let order: FilmOrder = serde_json::from_slice(&order).map_err(text)?;
         let (before, _) = self.change_tries(run, |tries| tries.begin(&self.name)).await?;
         match judge(before.begun(), before.deaths(), run.frames.len()) {
             Verdict::Draw => {}
@@ -445,7 +444,11 @@ impl Worker {
         if missing.is_empty() {
             return Ok(());
         }
-        let opened = self.open_scene(&order).await;
+        let opened = tokio::select! {
+            opened = self.open_scene(&order) => opened,
+            // The load goes on until the process ends.
+            () = stopped(stop) => Err("the worker stops".to_owned()),
+        };
         opened.map_err(|why| Failure { why, is_own: true })?;
         die_at(&missing);
         let began = Instant::now();
@@ -501,7 +504,7 @@ impl Worker {
     /// Loads the scene of a film, unless it is loaded.
     async fn open_scene(&self, order: &FilmOrder) -> Result<(), String> {
         let id = &order.spec.scene;
-        let key = bundle_key(&order.scene)?;
+        let key = scene_key(id, &order.scene)?;
         let mut scenes = self.scenes.lock().await;
         if scenes.get(id) == Some(&key) {
             return Ok(());
@@ -551,9 +554,10 @@ fn text(error: impl std::fmt::Display) -> String {
     error.to_string()
 }
 
-/// Hashes what a scene is made of.
-fn bundle_key(bundle: &Bundle) -> Result<String, String> {
-    let text = serde_json::to_vec(bundle).map_err(text)?;
+/// Hashes a scene's id and what the scene is made of. The hash is the name of the scene's folder: scenes of equal files have two, so that
+/// one can be removed without the other.
+fn scene_key(id: &str, bundle: &Bundle) -> Result<String, String> {
+    let text = serde_json::to_vec(&(id, bundle)).map_err(text)?;
     Ok(digits(&Sha256::digest(text)[..16]))
 }
 
@@ -567,5 +571,20 @@ fn die_at(frames: &[Wanted]) {
     let deadly = deadly.and_then(|number| number.parse::<u64>().ok());
     if deadly.is_some_and(|number| frames.iter().any(|frame| frame.number == number)) {
         std::process::abort();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scenes_of_equal_files_have_folders_of_their_own() {
+        let bundle = Bundle { main: "a.ply".to_owned(), base: None, up: None, files: Vec::new() };
+        let other = Bundle { main: "b.ply".to_owned(), ..bundle.clone() };
+        let keys = [("a", &bundle), ("b", &bundle), ("a", &other)]
+            .map(|(id, bundle)| scene_key(id, bundle).unwrap());
+        assert!(keys[0] != keys[1] && keys[0] != keys[2]);
+        assert_eq!(scene_key("a", &bundle).unwrap(), keys[0]);
     }
 }

@@ -389,14 +389,16 @@ impl Collector for JobCollector {
         let help = "Workers that can draw frames of this server and that pause because they failed at several runs in a row";
         let paused = gauge(load.paused_workers);
         paused.encode(encoder.encode_descriptor("workers_paused", help, None, kind)?)?;
-        let help = "Runs of frames in the queue: `pending` ones wait for a worker, `drawing` ones have one, `redelivered` ones of those had another before";
+        let help = "Runs of frames in the queue: `pending` ones wait for a worker, `drawing` ones have one, `redelivered` ones of those had another before; absent while the NATS server or the store does not answer";
         let mut runs = encoder.encode_descriptor("worker_runs", help, None, kind)?;
-        let states = [
-            ("pending", load.pending),
-            ("drawing", load.drawing),
-            ("redelivered", load.redelivered),
-        ];
-        for (state, count) in states {
+        let states = load.queued.map(|queued| {
+            [
+                ("pending", queued.pending),
+                ("drawing", queued.drawing),
+                ("redelivered", queued.redelivered),
+            ]
+        });
+        for (state, count) in states.into_iter().flatten() {
             gauge(count).encode(runs.encode_family(&[("state", state)])?)?;
         }
         let aside = ConstCounter::new(load.set_aside);

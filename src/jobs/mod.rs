@@ -47,7 +47,7 @@ pub use book::{
     Failure, FailureKind, JobId, Limits, Made, Origin, Record, Refusal, Repeat, Slots, State,
 };
 pub use live::Stage;
-pub use remote::{Load, Order, Remote};
+pub use remote::{Load, Order, Queued, Remote};
 pub use runner::{find_path, find_shots};
 pub use spec::{FrameSpec, PathChoice, Spec, Want};
 pub use store::{Place, StateError};

@@ -29,13 +29,21 @@ pub struct Load {
     /// The part of `workers` that pause because they failed at several frames in a row.
     pub paused_workers: u64,
     pub other_workers: u64,
-    /// Runs that no worker has.
-    pub pending: u64,
-    /// Runs that workers have, and those of them that were delivered more than once.
-    pub drawing: u64,
-    pub redelivered: u64,
+    /// `None` while the queue does not answer.
+    pub queued: Option<Queued>,
     /// Frames that were set aside since the start of the process.
     pub set_aside: u64,
+}
+
+/// Numbers of runs in the queue.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Queued {
+    /// Runs that no worker has.
+    pub pending: u64,
+    /// Runs that workers have.
+    pub drawing: u64,
+    /// Runs that workers have and that were delivered more than once.
+    pub redelivered: u64,
 }
 
 /// Draws frames in other processes.

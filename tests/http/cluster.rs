@@ -581,9 +581,14 @@ fn a_broker_may_ask_for_tls_and_a_password() {
     let _worker = cluster.worker(&[], &[]);
     let id = create(&client, json!({ "to": 19 }));
     ended(&client, &id, "done");
-    let load =
-        |state: &str| client.metric(&format!("pointillist_worker_runs{{state=\"{state}\"}}"));
-    eventually("an empty queue", || load("pending") + load("drawing") == 0.0);
+    // The counts are absent until the daemon has an answer.
+    let is_zero = |metrics: &str, state: &str| {
+        metrics.contains(&format!("pointillist_worker_runs{{state=\"{state}\"}} 0"))
+    };
+    eventually("an empty queue", || {
+        let metrics = client.get("/metrics").text();
+        is_zero(&metrics, "pending") && is_zero(&metrics, "drawing")
+    });
     eventually("a worker", || client.metric("pointillist_workers{kind=\"this\"}") == 1.0);
     assert_eq!(client.metric("pointillist_workers{kind=\"another\"}"), 0.0);
     assert_eq!(client.metric("pointillist_frames_set_aside_total"), 0.0);

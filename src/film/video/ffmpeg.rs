@@ -1,7 +1,8 @@
 //! Runs `ffmpeg` as a process: raw frames go to its standard input, and its messages come from its standard error.
 //!
 //! A process that hangs holds up nobody who asks for a stop. Threads of their own write and read its pipes, and everything that
-//! waits for it looks at the stop from time to time.
+//! waits for it looks at the stop from time to time. A process that makes no progress for [`LIMIT`] is killed: it takes no frame,
+//! and the file that it writes stays as it is.
 
 use std::ffi::OsStr;
 use std::io::{self, Read, Write};
@@ -9,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, ChildStdin, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant, SystemTime};
 
 use flume::{Receiver, SendTimeoutError, Sender};
 
@@ -19,6 +20,8 @@ use super::{Reel, Sink, VideoError};
 const MOST_SAID: usize = 2048;
 /// Interval at which whoever waits for the process looks at it and at the stop.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
+/// Time without progress after which the process is killed. At the end it may code dozens of frames and move the whole file.
+const LIMIT: Duration = Duration::from_secs(600);
 
 /// Finds the program `ffmpeg` in one of the folders of a `PATH`.
 #[cfg_attr(
@@ -49,7 +52,30 @@ pub struct Process<'a> {
     written: Option<JoinHandle<io::Result<()>>>,
     said: Option<JoinHandle<String>>,
     stop: &'a AtomicBool,
+    /// File that it writes.
+    out: PathBuf,
+    now: fn() -> Instant,
     has_ended: bool,
+}
+
+/// A wait for the process.
+struct Wait {
+    /// Length and time of the file at `since`.
+    file: FileState,
+    since: Instant,
+}
+
+type FileState = Option<(u64, Option<SystemTime>)>;
+
+impl Wait {
+    /// Returns whether the file has stayed as it was for [`LIMIT`]. Looks at the file at most that often, because its disk may be slow.
+    fn is_in_vain(&mut self, now: Instant, file: impl FnOnce() -> FileState) -> bool {
+        if now.duration_since(self.since) < LIMIT {
+            return false;
+        }
+        let before = std::mem::replace(self, Wait { file: file(), since: now });
+        self.file == before.file
+    }
 }
 
 /// The arguments of `ffmpeg`.
@@ -100,12 +126,14 @@ impl<'a> Process<'a> {
         reel: &Reel,
         out: &Path,
         stop: &'a AtomicBool,
+        now: fn() -> Instant,
     ) -> Result<Process<'a>, VideoError> {
         let failed = |error| VideoError::Io { file: program.to_owned(), error };
+        // An absolute path, so that a name that begins with a dash is not taken for an option.
+        let out = std::path::absolute(out).map_err(failed)?;
         let mut child = Command::new(program)
             .args(arguments(reel))
-            // An absolute path, so that a name that begins with a dash is not taken for an option.
-            .arg(std::path::absolute(out).map_err(failed)?)
+            .arg(&out)
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
             .stderr(Stdio::piped())
@@ -116,21 +144,48 @@ impl<'a> Process<'a> {
         let written = stdin.map(|stdin| std::thread::spawn(move || write(&frames, stdin)));
         // Read all the time: a long message would otherwise fill the pipe and block the process.
         let said = child.stderr.take().map(|errors| std::thread::spawn(move || read(errors)));
-        Ok(Process { child, input: Some(input), written, said, stop, has_ended: false })
+        let input = Some(input);
+        Ok(Process { child, input, written, said, stop, out, now, has_ended: false })
+    }
+
+    fn file_state(&self) -> FileState {
+        let found = self.out.metadata().ok()?;
+        Some((found.len(), found.modified().ok()))
+    }
+
+    fn begin_wait(&self) -> Wait {
+        Wait { file: self.file_state(), since: (self.now)() }
+    }
+
+    /// Checks whether the wait may go on.
+    ///
+    /// # Errors
+    /// [`VideoError::Stopped`]; [`VideoError::Coder`] if the process makes no progress.
+    fn check(&self, wait: &mut Wait) -> Result<(), VideoError> {
+        if self.stop.load(Ordering::Relaxed) {
+            return Err(VideoError::Stopped);
+        }
+        if !wait.is_in_vain((self.now)(), || self.file_state()) {
+            return Ok(());
+        }
+        let name = self.out.file_name().unwrap_or_default().to_string_lossy();
+        let limit = LIMIT.as_secs();
+        Err(VideoError::Coder(format!(
+            "ffmpeg took no frame and wrote nothing to {name} for {limit} seconds, and was killed; check the disk and try again"
+        )))
     }
 
     /// Looks until something is there.
     ///
     /// # Errors
-    /// [`VideoError::Stopped`].
+    /// Those of [`Process::check`].
     fn wait<T>(&mut self, look: impl Fn(&mut Self) -> Option<T>) -> Result<T, VideoError> {
+        let mut wait = self.begin_wait();
         loop {
             if let Some(found) = look(self) {
                 return Ok(found);
             }
-            if self.stop.load(Ordering::Relaxed) {
-                return Err(VideoError::Stopped);
-            }
+            self.check(&mut wait)?;
             std::thread::sleep(LOOK_EVERY);
         }
     }
@@ -161,15 +216,14 @@ impl<'a> Process<'a> {
 
 impl Sink for Process<'_> {
     fn push(&mut self, mut rgb: Vec<u8>) -> Result<(), VideoError> {
+        let mut wait = self.begin_wait();
         while let Some(input) = &self.input {
             match input.send_timeout(rgb, LOOK_EVERY) {
                 Ok(()) => return Ok(()),
                 Err(SendTimeoutError::Disconnected(_)) => break,
                 Err(SendTimeoutError::Timeout(back)) => rgb = back,
             }
-            if self.stop.load(Ordering::Relaxed) {
-                return Err(VideoError::Stopped);
-            }
+            self.check(&mut wait)?;
         }
         let status = io::Error::from(io::ErrorKind::BrokenPipe).to_string();
         self.end().and(Err(VideoError::Ffmpeg { status, said: String::new() }))
@@ -187,5 +241,26 @@ impl Drop for Process<'_> {
             let _ = self.child.kill();
             let _ = self.child.wait();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wait_goes_on_while_the_file_changes() {
+        let begin = Instant::now();
+        let file = |bytes: u64| Some((bytes, Some(SystemTime::UNIX_EPOCH)));
+        let mut wait = Wait { file: None, since: begin };
+        let soon = begin + LIMIT / 2;
+        assert!(!wait.is_in_vain(soon, || unreachable!("the limit is not over")));
+        for times in 1..9u32 {
+            assert!(!wait.is_in_vain(begin + LIMIT * times, || file(times.into())));
+        }
+        // The file was moved within itself.
+        let moved = Some((8, Some(SystemTime::UNIX_EPOCH + LIMIT)));
+        assert!(!wait.is_in_vain(begin + LIMIT * 9, || moved));
+        assert!(wait.is_in_vain(begin + LIMIT * 10, || moved));
     }
 }

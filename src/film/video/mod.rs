@@ -229,7 +229,9 @@ pub fn encode<'a>(
     let mut sink: Box<dyn Sink + '_> = match coder {
         #[cfg(feature = "video")]
         Coder::BuiltIn => Box::new(h264::Writer::new(reel, &part)?),
-        Coder::Ffmpeg(program) => Box::new(ffmpeg::Process::start(program, reel, &part, stop)?),
+        Coder::Ffmpeg(program) => {
+            Box::new(ffmpeg::Process::start(program, reel, &part, stop, std::time::Instant::now)?)
+        }
     };
     let mut coded = 0;
     for record in records {

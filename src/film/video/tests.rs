@@ -352,6 +352,35 @@ fn a_process_that_hangs_is_killed_by_a_stop() {
     }
 }
 
+/// A clock on which a minute passes between two looks.
+#[cfg(unix)]
+fn hasty() -> std::time::Instant {
+    use std::sync::LazyLock;
+    use std::sync::atomic::AtomicU64;
+    use std::time::{Duration, Instant};
+
+    static BEGAN: LazyLock<Instant> = LazyLock::new(Instant::now);
+    static LOOKS: AtomicU64 = AtomicU64::new(0);
+    *BEGAN + Duration::from_secs(60 * LOOKS.fetch_add(1, Ordering::Relaxed))
+}
+
+/// Programs that read nothing, or read everything and never end.
+#[cfg(unix)]
+#[test]
+fn a_process_that_makes_no_progress_is_killed() {
+    let at = tempfile::tempdir().unwrap();
+    let (out, go_on) = (at.path().join("film.mp4"), go_on());
+    for script in ["exec sleep 600", "cat > /dev/null; exec sleep 600"] {
+        let program = program(at.path(), script);
+        let started = ffmpeg::Process::start(&program, &reel(12), &out, &go_on, hasty);
+        let mut process = Box::new(started.unwrap());
+        let pixels = vec![0; (SIDES.0 * SIDES.1 * 3) as usize];
+        let pushed = (0..12).try_for_each(|_| process.push(pixels.clone()));
+        let refused = pushed.and_then(|()| process.finish()).unwrap_err().to_string();
+        assert!(refused.contains("film.mp4 for 600 seconds"), "{refused}");
+    }
+}
+
 /// The real program, if it is installed.
 #[test]
 fn ffmpeg_makes_what_was_asked_for() {

@@ -15,6 +15,7 @@ mod moving;
 mod pacing;
 mod places;
 mod pose_schedule;
+mod preparation;
 mod send_queue;
 mod session;
 pub(super) mod wire;

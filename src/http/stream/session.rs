@@ -14,6 +14,7 @@ use super::moving::{Made, Plan, Wanted, still_request, wanted};
 use super::pacing::Pacer;
 use super::places::Place;
 use super::pose_schedule::PoseSchedule;
+use super::preparation::Preparation;
 use super::send_queue::SendQueue;
 use super::wire::{Close, Event, FrameHeader, Incoming, MAX_MESSAGE_BYTES, PoseMessage, Quality};
 use crate::engine::{
@@ -51,7 +52,7 @@ pub struct Session {
     frames: u64,
     baking: Option<BakeTicket>,
     /// The bake that planned frames of the moving pose need; others are drawn meanwhile, and after it has failed.
-    preparing: Option<BakeTicket>,
+    preparing: Preparation<BakeTicket, Option<SceneMark>>,
     /// Setting that the last planned frame was drawn with.
     held: Option<String>,
     /// Whether moving frames of this pose may be planned: none was refused.
@@ -122,7 +123,7 @@ impl Session {
             asked: VecDeque::new(),
             frames: 0,
             baking: None,
-            preparing: None,
+            preparing: Preparation::Idle,
             held: None,
             may_plan: true,
             retry_at: None,
@@ -375,6 +376,7 @@ impl Session {
         if !self.has_replaceable() && !self.has_room() {
             return Ok(());
         }
+        self.preparing.update(self.mark, |bake| Some(bake.outcome()?.is_ok()));
         let Wanted { request, quality, scale, planned } = match self.wanted(params, quality) {
             Ok(wanted) => wanted,
             Err(problem) => {
@@ -389,7 +391,10 @@ impl Session {
             Resolution::NeedsBake(unbaked) => {
                 match is_planned {
                     // While the bake runs, the frame is drawn with settings that need none.
-                    true if self.preparing.is_none() => self.preparing = Some(unbaked.begin()?),
+                    true if self.preparing.is_idle() => {
+                        let bake = unbaked.begin()?;
+                        self.preparing = Preparation::Baking { bake, mark: self.mark };
+                    }
                     true => self.may_plan = false,
                     false => self.baking = Some(unbaked.begin()?),
                 }
@@ -432,7 +437,7 @@ impl Session {
         let plan: Plan<'_> = &|request, still, scales| {
             let moving = Moving { scales, held: self.held.as_deref(), still };
             // The frame that is not planned reports the errors of the request.
-            self.app.engine.plan_moving(request, &moving, self.preparing.is_some()).ok()?
+            self.app.engine.plan_moving(request, &moving, !self.preparing.is_idle()).ok()?
         };
         let is_measured = || matches!(self.app.engine.planner_size(&self.id), Ok(Some(_)));
         let may_plan = quality == Quality::Moving && self.may_plan && is_measured();
@@ -550,7 +555,7 @@ impl Session {
             return Ok(());
         }
         self.mark = mark;
-        (self.preparing, self.held) = (None, None);
+        self.held = None;
         let scene = self.id.clone();
         let Some(SceneMark { revision, .. }) = mark else {
             self.tell(&Event::Deleted { scene: &scene })?;

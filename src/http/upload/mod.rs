@@ -265,9 +265,16 @@ struct PartialFolder(Option<PathBuf>);
 
 impl PartialFolder {
     async fn create(root: &Path) -> Result<Self, Problem> {
-        let path = store::partial(root);
-        tokio::fs::create_dir_all(&path).await.map_err(|error| storage(&error))?;
-        Ok(Self(Some(path)))
+        tokio::fs::create_dir_all(root.join(FOLDER)).await.map_err(|error| storage(&error))?;
+        loop {
+            let path = store::partial(root);
+            match tokio::fs::create_dir(&path).await {
+                Ok(()) => return Ok(Self(Some(path))),
+                // An earlier process had the same id, as in containers, and its folder could not be removed.
+                Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {}
+                Err(error) => return Err(storage(&error)),
+            }
+        }
     }
 
     fn path(&self) -> &Path {
@@ -474,6 +481,19 @@ mod tests {
     use std::time::Duration;
 
     use super::*;
+
+    #[tokio::test]
+    async fn a_leftover_of_an_earlier_process_joins_no_upload() {
+        let root = tempfile::tempdir().unwrap();
+        for number in 0..256 {
+            let name = format!(".partial-{}-{number}", std::process::id());
+            let left = root.path().join(FOLDER).join(name);
+            std::fs::create_dir_all(&left).unwrap();
+            std::fs::write(left.join("a.ply"), "ply").unwrap();
+        }
+        let folder = PartialFolder::create(root.path()).await.unwrap();
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
 
     #[test]
     fn budgets_end() {

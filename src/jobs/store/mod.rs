@@ -133,19 +133,30 @@ impl Store {
             last_id = last_id.max((*id).min(LARGEST_COUNT));
         }
         store
-            .find_again(&mut records, &mut last_id, now_ms, &mut warnings)
+            .find_again(&mut records, &mut last_id, now_ms, &mut warnings, Place::remove)
             .map_err(failed(&folders))?;
         Ok(Opened { store, records, last_id, warnings })
     }
 
-    /// Compares the folders of jobs with the records: adds lost jobs, and finishes interrupted removals.
+    /// Compares the folders of jobs with the records: adds lost jobs, and finishes interrupted removals. `remove` is
+    /// [`Place::remove`]; a folder that cannot be removed stays for the next start.
     fn find_again(
         &self,
         records: &mut Vec<Record>,
         last_id: &mut JobId,
         now_ms: u64,
         warnings: &mut Vec<String>,
+        remove: impl Fn(&Place) -> io::Result<()>,
     ) -> io::Result<()> {
+        let leftover = |place: &Place| {
+            let failed = |error| {
+                format!(
+                    "cannot remove what is left of a removed job: {}: {error}",
+                    place.folder().display()
+                )
+            };
+            remove(place).err().map(failed)
+        };
         for item in fs::read_dir(self.folder.join(FOLDERS))? {
             let id = item?.file_name().to_str().and_then(|name| name.parse::<JobId>().ok());
             let Some(id) = id.filter(|id| *id <= LARGEST_COUNT) else { continue };
@@ -154,7 +165,7 @@ impl Store {
             if place.is_buried() {
                 records.retain(|record| record.id != id);
                 match self.keep(id, || None) {
-                    Ok(()) => place.remove()?,
+                    Ok(()) => warnings.extend(leftover(&place)),
                     Err(error) => warnings.push(format!("job {id} was removed: {error}")),
                 }
                 continue;
@@ -187,7 +198,7 @@ impl Store {
                     }
                     records.push(record);
                 }
-                Ok(None) => place.remove()?,
+                Ok(None) => warnings.extend(leftover(&place)),
                 // The folder stays, because it may hold files of somebody else.
                 Err(error) => warnings.push(format!("{}: {error}", place.job_file().display())),
             }

@@ -39,6 +39,10 @@ impl Place {
         Place { folder }
     }
 
+    pub(super) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
     pub(super) fn job_file(&self) -> PathBuf {
         self.file(JOB)
     }

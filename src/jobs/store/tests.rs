@@ -80,6 +80,25 @@ fn folders_that_no_job_can_have_are_left_alone() {
 }
 
 #[test]
+fn leftovers_that_cannot_be_removed_are_warnings() {
+    let at = tempfile::tempdir().unwrap();
+    let Opened { store, .. } = open(at.path());
+    let removed = record(3, State::Done);
+    keep(&store, &removed);
+    store.bury(3).unwrap();
+    fs::create_dir(at.path().join("jobs/5")).unwrap();
+    let (mut records, mut last_id, mut warnings) = (vec![removed], 0, Vec::new());
+    let remove = |_: &Place| Err(io::Error::other("the disk failed"));
+    store.find_again(&mut records, &mut last_id, 100, &mut warnings, remove).unwrap();
+    assert!(records.is_empty() && last_id == 5);
+    warnings.sort();
+    for (warning, folder) in warnings.iter().zip(["jobs/3", "jobs/5"]) {
+        assert!(warning.contains(folder) && warning.ends_with("the disk failed"), "{warning}");
+    }
+    assert_eq!(warnings.len(), 2);
+}
+
+#[test]
 fn a_folder_is_one_process_at_a_time() {
     let at = tempfile::tempdir().unwrap();
     let first = open(at.path());

@@ -63,7 +63,10 @@ fn runs_stay_queued_while_the_broker_hangs() {
     cluster.signal_broker("-STOP");
     // The worker stores the rest of its run, so the daemon has to queue another one.
     when(&client, &id, "a failure of the broker", |job| job["waits_for"].is_string());
+    let has_counts = || client.get("/metrics").text().contains("pointillist_worker_runs{");
+    eventually("counts that are unknown", || !has_counts());
     cluster.signal_broker("-CONT");
+    eventually("counts that are known again", has_counts);
     ended(&client, &id, "done");
     let log = daemon.log();
     assert!(log.contains("a film waits") && !log.contains(LOST), "{log}");
@@ -101,6 +104,24 @@ fn a_daemon_that_drains_keeps_what_workers_stored() {
     ended(&daemon.client(), &id, "done");
     assert_eq!(manifest(&daemon.client(), &id), alone(slow()));
     eventually("an empty store", || cluster.films().is_empty());
+}
+
+#[test]
+fn a_worker_that_reads_a_scene_can_be_stopped() {
+    let Some(cluster) = Cluster::start() else { return };
+    let daemon = cluster.daemon();
+    create(&daemon.client(), long());
+    let has = |name: &str| cluster.films().iter().any(|file| file.to_string_lossy().contains(name));
+    eventually("an order", || has("order.json"));
+    // Nobody writes into these pipes, so that a reader waits for ever.
+    for asset in std::fs::read_dir(cluster.store().join("assets")).unwrap() {
+        let asset = asset.unwrap().path();
+        std::fs::remove_file(&asset).unwrap();
+        assert!(Command::new("mkfifo").arg(&asset).status().unwrap().success());
+    }
+    let mut worker = cluster.worker(&[], &[]);
+    eventually("a run that is begun", || has("/tries/"));
+    assert!(worker.terminate());
 }
 
 #[test]
