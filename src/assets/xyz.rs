@@ -109,6 +109,9 @@ impl Delimiter {
             Self::Semicolon => ';',
         };
         let line = line.strip_suffix(separator).unwrap_or(line);
+        if are_whole && !line.contains('"') {
+            return line.split(separator).for_each(|column| take(column.trim()));
+        }
         if are_whole {
             // Quotes enclose a column that begins with one. In others they are text, as in 5".
             let (mut is_begin, mut has_quotes, mut is_open) = (true, false, false);
