@@ -9,7 +9,7 @@ use super::frame_job::FrameJob;
 use super::pick;
 use super::renderer::{FlyingGroup, InFlight, Names, Renderer, STATS_BYTES};
 use crate::encode::FrameImage;
-use crate::passes::{PassSpan, Shadows, Source};
+use crate::passes::{PassSpan, Shadows};
 use crate::plan::{Output, Pass};
 use crate::residency::layout::GpuStats;
 
@@ -113,18 +113,13 @@ impl FlyingGroup {
     /// No other frame may use the maps that the group has made.
     fn spoil_maps(&self) {
         if let Some(shadows) = self.shadows.as_ref().filter(|shadows| !shadows.sources.is_empty()) {
-            shadows.set.spoil();
+            shadows.set.soundness.spoil();
         }
     }
 
     /// Whether a list was too short for maps that another group has drawn.
     fn has_spoiled_maps(&self) -> bool {
-        let Some(shadows) = &self.shadows else { return false };
-        let is_spoiled = |source: &Source| match source {
-            Source::Drawn => false,
-            Source::Copied(from, _) => from.is_spoiled(),
-        };
-        shadows.set.is_spoiled() || shadows.sources.iter().any(is_spoiled)
+        self.shadows.as_ref().is_some_and(|shadows| shadows.set.soundness.is_spoiled())
     }
 }
 
@@ -269,6 +264,9 @@ impl Renderer {
         if group.has_spoiled_maps() {
             group.spoil_maps();
             return Room::Made;
+        }
+        if let Some(shadows) = &group.shadows {
+            shadows.set.soundness.settle();
         }
         let Some((_, stats)) = frames.first() else { return Room::Enough };
         self.make_room(group, stats, group.views)

@@ -314,7 +314,8 @@ fn land(
     let (redraw, stuck): (Vec<_>, Vec<_>) =
         landed.redraw.into_iter().partition(|job| job.may_redraw());
     for job in stuck {
-        let text = "a list of large triangles that grows has still no room".to_owned();
+        let text =
+            "the frame was drawn again and again, and each time a list was too short".to_owned();
         state.answer(&job, Err(EngineError::Internal(text)));
     }
     state.put_back(redraw);

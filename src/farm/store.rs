@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | `pointillist-store` | what tells this store from others, drawn at random | the first server |
 //! | `assets/SHA256` | a file of a scene; removed a week after it was last stored, unless a film needs it | the server, once for all films |
-//! | `films/FILM/order.json` | [`FilmOrder`](super::messages::FilmOrder); stored again twice a day; removed first when the film is over | the server |
+//! | `films/FILM/order.json` | [`FilmOrder`]; stored again twice a day; removed first when the film is over | the server |
 //! | `films/FILM/frames/TAG` | the image with this entity tag | workers |
 //! | `films/FILM/tries/FIRST-LAST` | [`Tries`]: which workers began these frames, and how often | workers |
 //! | `films/FILM/aside/NUMBER` | why a frame is set aside | workers |

@@ -38,7 +38,7 @@ pub use prime::Prime;
 pub use record::record;
 pub use recorder::{Context, PassSpan};
 pub use scratch::{EXPOSED_BYTES, PAINTED_BYTES, PATCH_BYTES, SLABS_BYTES, Scratch};
-pub use shadow::{MAP_WEIGHT, MapKey, ShadowMaps, Shadows, Source};
+pub use shadow::{MAP_WEIGHT, MapKey, ShadowMaps, Shadows};
 pub use slabs::Slabs;
 pub use uniforms::{GroupUniforms, Uniforms};
 pub use windows::{LAYERS, most_pixels as window_pixels};

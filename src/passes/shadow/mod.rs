@@ -4,13 +4,14 @@
 //! [`ShadowMaps`] keeps those that were drawn last.
 
 pub mod shadow_map;
+mod soundness;
 
 use std::cell::RefCell;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::DVec3;
 
+use self::soundness::Soundness;
 use super::frame::FrameTask;
 use crate::gpu::Gpu;
 use crate::gpu::bind::BindCache;
@@ -131,18 +132,7 @@ impl MapKey {
 pub struct MapSet {
     pub maps: Buffer,
     pub stats: Buffer,
-    /// Some list was too short while they were drawn.
-    is_spoiled: AtomicBool,
-}
-
-impl MapSet {
-    pub fn spoil(&self) {
-        self.is_spoiled.store(true, Ordering::Relaxed);
-    }
-
-    pub fn is_spoiled(&self) -> bool {
-        self.is_spoiled.load(Ordering::Relaxed)
-    }
+    pub soundness: Arc<Soundness>,
 }
 
 struct Kept {
@@ -170,7 +160,7 @@ impl ShadowMaps {
     ) -> (Arc<MapSet>, Vec<Source>) {
         let is_anew = |view: &View| anew && view.is_orthographic();
         let is_whole = |kept: &Kept| kept.key == key && kept.views == views;
-        self.drop_if(binds, |kept| kept.set.is_spoiled());
+        self.drop_if(binds, |kept| kept.set.soundness.is_spoiled());
         let whole = self.kept.iter().position(is_whole);
         if let Some(place) = whole.filter(|_| !views.iter().any(is_anew)) {
             let found = self.kept.remove(place);
@@ -182,12 +172,16 @@ impl ShadowMaps {
             true => Source::Drawn,
             false => self.source(&key, view),
         };
-        let sources = views.iter().map(source).collect();
+        let sources: Vec<Source> = views.iter().map(source).collect();
         self.drop_if(binds, is_whole);
+        let origins = sources.iter().filter_map(|source| match source {
+            Source::Drawn => None,
+            Source::Copied(from, _) => Some(from.soundness.clone()),
+        });
         let set = Arc::new(MapSet {
             maps: Buffer::storage(gpu, "shadow_maps", bytes(views)),
             stats: Buffer::storage(gpu, "shadow_stats", views.len() as u64 * STATS_BYTES),
-            is_spoiled: AtomicBool::new(false),
+            soundness: Arc::new(Soundness::of_copy(origins.collect())),
         });
         self.kept.push(Kept { key, views: views.to_vec(), set: set.clone() });
         let mut excess: u64 = self.kept.iter().map(|kept| kept.set.maps.size()).sum();
