@@ -14,7 +14,7 @@
 use std::net::{Ipv4Addr, Ipv6Addr};
 use std::time::SystemTime;
 
-use axum::http::{HeaderMap, Method, Uri, header};
+use axum::http::{HeaderMap, HeaderValue, Method, Uri, header};
 use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;
 
@@ -225,16 +225,9 @@ fn foreign(headers: &HeaderMap, may_not: &str) -> Problem {
 
 /// Refuses a request whose host is missing or not loopback.
 pub fn check_host(uri: &Uri, headers: &HeaderMap) -> Result<(), Problem> {
-    // HTTP/2 has the host in the address.
-    let authority = uri.authority().map(|authority| authority.as_str().as_bytes());
-    let mut hosts = headers
-        .get_all(header::HOST)
-        .iter()
-        .map(|host| host.as_bytes())
-        .chain(authority)
-        .peekable();
-    let is_named = hosts.peek().is_some();
-    if is_named && hosts.all(|host| std::str::from_utf8(host).is_ok_and(is_loopback)) {
+    let mut named = hosts(uri, headers).peekable();
+    let is_named = named.peek().is_some();
+    if is_named && named.all(|host| host.is_some_and(is_loopback)) {
         return Ok(());
     }
     Err(Problem::new(
@@ -243,6 +236,13 @@ pub fn check_host(uri: &Uri, headers: &HeaderMap) -> Result<(), Problem> {
     )
     .at("Host")
     .accepted("localhost, 127.0.0.1 or [::1], with any port"))
+}
+
+/// The hosts that a request names: that of its address, where HTTP/2 has it, and those of `Host`; `None` for one that is no text.
+fn hosts<'r>(uri: &'r Uri, headers: &'r HeaderMap) -> impl Iterator<Item = Option<&'r str>> {
+    let authority = uri.authority().map(|authority| Some(authority.as_str()));
+    let text = |host: &'r HeaderValue| std::str::from_utf8(host.as_bytes()).ok();
+    authority.into_iter().chain(headers.get_all(header::HOST).iter().map(text))
 }
 
 /// Returns whether an authority, with or without port, is a name or an address of loopback.
@@ -375,12 +375,7 @@ fn is_foreign(uri: &Uri, headers: &HeaderMap, cors_origins: &[String]) -> bool {
     if cors_origins.iter().any(|allowed| allowed == origin) {
         return false;
     }
-    // HTTP/2 has the host in the address.
-    let host = match uri.authority() {
-        Some(authority) => Some(authority.as_str()),
-        None => headers.get(header::HOST).and_then(|host| host.to_str().ok()),
-    };
-    match (origin.split_once("://"), host) {
+    match (origin.split_once("://"), hosts(uri, headers).next().flatten()) {
         (Some((_, authority)), Some(host)) => !authority.eq_ignore_ascii_case(host),
         _ => true,
     }
