@@ -93,16 +93,17 @@ impl<K: Eq + Hash> Table<K> {
 
     /// Returns the bucket of a key, which begins full. A changed rate applies from now on.
     pub fn bucket(&mut self, key: K, rate: Rate, now: Instant) -> &mut Bucket {
-        let is_new = !self.buckets.contains_key(&key);
-        let is_due = self.swept_at.is_none_or(|at| now.duration_since(at) >= SWEEP_EVERY);
-        if is_new && is_due && self.buckets.len() >= self.most {
+        let mut has_room = self.buckets.len() < self.most || self.buckets.contains_key(&key);
+        let is_due = |at: Instant| now.duration_since(at) >= SWEEP_EVERY;
+        if !has_room && self.swept_at.is_none_or(is_due) {
             self.swept_at = Some(now);
             self.buckets.retain(|_, bucket| !bucket.is_full(now));
+            has_room = self.buckets.len() < self.most;
         }
         let full = || Bucket::full(rate, now);
-        let bucket = match is_new && self.buckets.len() >= self.most {
-            true => self.rest.get_or_insert_with(full),
-            false => self.buckets.entry(key).or_insert_with(full),
+        let bucket = match has_room {
+            true => self.buckets.entry(key).or_insert_with(full),
+            false => self.rest.get_or_insert_with(full),
         };
         if bucket.rate != rate {
             bucket.refill(now);

@@ -47,19 +47,12 @@ fn a_table_is_bounded() {
 #[test]
 fn a_changed_rate_applies_at_once() {
     let start = Instant::now();
-    let mut table = Table::new(2);
-    table.bucket("a", RATE, start).charge(4.0, start);
     let fast = Rate { per_second: 100.0, burst: 200.0 };
-    let wait = table.bucket("a", fast, start).take(start).unwrap_err();
-    assert_eq!(wait, Duration::from_millis(10));
-}
-
-#[test]
-fn a_changed_rate_applies_to_the_shared_bucket() {
-    let start = Instant::now();
-    let mut table = Table::new(0);
-    table.bucket("a", RATE, start).charge(4.0, start);
-    let fast = Rate { per_second: 100.0, burst: 200.0 };
-    let wait = table.bucket("b", fast, start).take(start).unwrap_err();
-    assert_eq!(wait, Duration::from_millis(10));
+    // A bucket of its own, and the one that keys beyond the table share.
+    for (most, next) in [(2, "a"), (0, "b")] {
+        let mut table = Table::new(most);
+        table.bucket("a", RATE, start).charge(4.0, start);
+        let wait = table.bucket(next, fast, start).take(start).unwrap_err();
+        assert_eq!(wait, Duration::from_millis(10), "{most} buckets");
+    }
 }
