@@ -173,7 +173,7 @@ fn vertices<R: BufRead>(
         let place = || format!("vertex {index} (line {})", lines.number);
         values.clear();
         for token in lines.tokens() {
-            let Some(value) = number(token) else {
+            let Some(value) = channel(token) else {
                 let property = ["x", "y", "z"].get(values.len()).copied().unwrap_or("attribute");
                 let reason = format!("property {property}: {} is not a number", shown(token));
                 return Err(AssetError::malformed(file, place(), reason));
@@ -186,22 +186,29 @@ fn vertices<R: BufRead>(
             return Err(AssetError::malformed(file, place(), reason));
         }
         meter.reach(vertices.bytes())?;
-        vertices.positions.push(DVec3::new(values[0], values[1], values[2]));
+        let [(x, _), (y, _), (z, _)] = [values[0], values[1], values[2]];
+        vertices.positions.push(DVec3::new(x, y, z));
         if let Some(normals) = &mut vertices.normals {
-            normals.push(DVec3::new(values[3], values[4], values[5]).as_vec3());
+            let [(x, _), (y, _), (z, _)] = [values[3], values[4], values[5]];
+            normals.push(DVec3::new(x, y, z).as_vec3());
         }
         let uv = values.len() - uv_values;
-        if let (Some(uvs), [s, t]) = (&mut vertices.uvs, &values[uv..]) {
+        if let (Some(uvs), [(s, _), (t, _)]) = (&mut vertices.uvs, &values[uv..]) {
             uvs.push(Vec2::new(*s as f32, (1.0 - t) as f32));
         }
         if header.has_colors && uv < fixed + 3 {
             return Err(AssetError::malformed(file, place(), "has no colour"));
         }
         // Plain OFF with colours behind the coordinates is common.
-        let colors = lines.tokens().skip(fixed).take(uv - fixed);
+        let colors = values[fixed..uv].iter().copied();
         vertices.paint.add(colors, index as usize..index as usize + 1);
     }
     Ok(vertices)
+}
+
+/// A number, and whether it is written as a float.
+fn channel(token: &[u8]) -> Option<(f64, bool)> {
+    Some((number(token)?, token.contains(&b'.')))
 }
 
 struct Faces {
@@ -221,14 +228,13 @@ struct Paint {
 }
 
 impl Paint {
-    /// Gives elements the colour that these tokens spell.
-    fn add<'t>(&mut self, tokens: impl Iterator<Item = &'t [u8]>, elements: Range<usize>) {
+    /// Gives elements the colour of these channels.
+    fn add(&mut self, channels: impl Iterator<Item = (f64, bool)>, elements: Range<usize>) {
         let mut values = [f32::NAN; 4];
         let mut count = 0;
-        for (slot, token) in values.iter_mut().zip(tokens) {
-            let Some(value) = number(token) else { break };
+        for (slot, (value, is_float)) in values.iter_mut().zip(channels) {
             *slot = value as f32;
-            self.are_floats |= token.contains(&b'.');
+            self.are_floats |= is_float;
             count += 1;
         }
         self.mapped += u64::from(count == 1);
@@ -311,7 +317,7 @@ fn faces<R: BufRead>(
             |vertex| positions[vertex as usize],
             |cut| triangles.push(cut.map(|at| ring[at as usize])),
         );
-        paint.add(tokens, begin..triangles.len());
+        paint.add(tokens.map_while(channel), begin..triangles.len());
         let count = triangles.len() as u64;
         AssetError::check_limit(file, "triangles", count, options.max_triangles)?;
         meter.reach(12 * count + 16 * paint.raw_colors.len() as u64)?;
