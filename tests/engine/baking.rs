@@ -15,6 +15,20 @@ use serde_json::json;
 
 use super::studio::{Studio, cloud_scene, eventually, front, same, wall};
 
+/// A studio whose bakes wait until the latch is open.
+fn latched() -> (Arc<Latch>, Studio) {
+    let latch = Arc::new(Latch::default());
+    let studio = Studio::with(|config| config.bake_latch = Some(latch.clone()));
+    (latch, studio)
+}
+
+/// A request for a frame of point trees.
+fn of_trees(scene: &str, width: u32, height: u32) -> FrameRequest {
+    let mut request = front(scene, width, height);
+    request.settings.lod = Lod::Spt;
+    request
+}
+
 /// Frames of both scenes in a new engine, and the sources of their trees.
 fn frames(cache: Option<&Path>) -> (Vec<Vec<u8>>, Vec<BakeSource>) {
     let cache = cache.map(|folder| BakeCache::new(folder, 1 << 30));
@@ -25,8 +39,7 @@ fn frames(cache: Option<&Path>) -> (Vec<Vec<u8>>, Vec<BakeSource>) {
     for scene in ["solid", "cloud"] {
         let baked = studio.engine.bake_all(scene, |_| ()).unwrap();
         sources.extend(baked.into_iter().map(|asset| asset.source));
-        let mut request = front(scene, 160, 120);
-        request.settings.lod = Lod::Spt;
+        let request = of_trees(scene, 160, 120);
         frames.push(studio.bytes(&request));
         let again = studio.engine.bake_all(scene, |_| ()).unwrap();
         assert!(again.iter().all(|asset| asset.source == BakeSource::Kept));
@@ -84,9 +97,7 @@ fn orchard(studio: &Studio) -> FrameRequest {
     }
     let cameras = json!({ "front": { "eye": [0, 0, 40], "target": [0, 0, 0], "fov": 45 } });
     studio.load_json("many", &json!({ "assets": assets, "nodes": nodes, "cameras": cameras }));
-    let mut request = front("many", 64, 48);
-    request.settings.lod = Lod::Spt;
-    request
+    of_trees("many", 64, 48)
 }
 
 #[test]
@@ -128,12 +139,10 @@ fn who_waits_for_the_same_bake_waits_together_and_nobody_bakes_for_nobody() {
 /// Requests for scenes that are not baked yet share one bake, and fail when the scene is removed.
 #[test]
 fn deleting_a_scene_ends_its_bakes() {
-    let latch = Arc::new(Latch::default());
-    let studio = Studio::with(|config| config.bake_latch = Some(latch.clone()));
+    let (latch, studio) = latched();
     let engine = &studio.engine;
     studio.load_two();
-    let mut request = front("cloud", 64, 48);
-    request.settings.lod = Lod::Spt;
+    let request = of_trees("cloud", 64, 48);
     let Resolution::NeedsBake(unbaked) = engine.resolve(request.clone()).unwrap() else {
         panic!("there are no trees yet")
     };
@@ -163,12 +172,10 @@ fn deleting_a_scene_ends_its_bakes() {
 /// A film that is told to stop waits for no bake.
 #[test]
 fn a_stop_ends_a_films_wait_for_its_bake() {
-    let latch = Arc::new(Latch::default());
-    let studio = Studio::with(|config| config.bake_latch = Some(latch.clone()));
+    let (latch, studio) = latched();
     let engine = &studio.engine;
     studio.load_two();
-    let mut request = front("cloud", 64, 48);
-    request.settings.lod = Lod::Spt;
+    let request = of_trees("cloud", 64, 48);
     let path = json!({ "fps": 2, "keys": [
         { "t": 0, "eye": [0, 0, 4], "target": [0, 0, 0] },
         { "t": 1, "eye": [1, 0, 4], "target": [0, 0, 0] },
@@ -186,8 +193,7 @@ fn a_stop_ends_a_films_wait_for_its_bake() {
 /// The number of concurrent bakes is limited, whatever requests them.
 #[test]
 fn frames_and_tags_bake_within_the_limit() {
-    let latch = Arc::new(Latch::default());
-    let studio = Studio::with(|config| config.bake_latch = Some(latch.clone()));
+    let (latch, studio) = latched();
     let engine = &studio.engine;
     let names: Vec<String> = (0..6).map(|number| format!("cloud{number}")).collect();
     for name in &names {
@@ -197,8 +203,7 @@ fn frames_and_tags_bake_within_the_limit() {
     std::thread::scope(|scope| {
         for (number, name) in names.iter().enumerate() {
             scope.spawn(move || {
-                let mut request = front(name, 32, 24);
-                request.settings.lod = Lod::Spt;
+                let request = of_trees(name, 32, 24);
                 match number % 2 {
                     0 => drop(super::studio::etag(engine, &request).unwrap()),
                     _ => drop(engine.submit(request).unwrap().wait().unwrap()),
@@ -215,12 +220,10 @@ fn frames_and_tags_bake_within_the_limit() {
 /// The frame of a request that waited for a bake shows the revision that was baked, so patches cannot delay it.
 #[test]
 fn patches_during_a_bake_delay_no_frame() {
-    let latch = Arc::new(Latch::default());
-    let studio = Studio::with(|config| config.bake_latch = Some(latch.clone()));
+    let (latch, studio) = latched();
     let engine = &studio.engine;
     studio.load_two();
-    let mut request = front("cloud", 32, 24);
-    request.settings.lod = Lod::Spt;
+    let request = of_trees("cloud", 32, 24);
     let frame = std::thread::scope(|scope| {
         let frame = scope.spawn(|| engine.submit(request.clone()).unwrap().wait().unwrap());
         eventually("the bake", || engine.bakes_running() == 1);
