@@ -80,6 +80,14 @@ class Cluster(Processes):
                 sys.exit(f"cluster: the daemon does not answer; its log is in {self.folder}")
             time.sleep(0.05)
 
+    def begin(self, workers):
+        """Starts everything. The daemon makes the store, which workers expect to be there."""
+        for name in ["broker", "daemon"]:
+            self.start(name)
+        self.ready()
+        for name in workers:
+            self.start(name)
+
     def order(self):
         width, height = self.options.size.split("x")
         body = {"scene": "wall", "path": "fly", "w": int(width), "h": int(height)}
@@ -135,9 +143,7 @@ def kills(options, cluster):
     print(f"one process: {len(expected)} frames in {seconds:.1f} s, checksum {sum_of(expected)}")
     chance = random.Random(options.seed)
     workers = [f"worker-{number}" for number in range(options.workers)]
-    for name in ["broker", "daemon", *workers]:
-        cluster.start(name)
-    cluster.ready()
+    cluster.begin(workers)
     number = cluster.order()
     # Kills are spread over the film: each happens when so many frames are there.
     due = sorted(chance.randrange(1, options.frames - 1) for _ in range(options.kills))
@@ -193,10 +199,7 @@ def round_trips(cluster, count=500):
 
 def speed(options, cluster):
     expected, single = alone(cluster)
-    workers = [f"worker-{number}" for number in range(options.workers)]
-    for name in ["broker", "daemon", *workers]:
-        cluster.start(name)
-    cluster.ready()
+    cluster.begin([f"worker-{number}" for number in range(options.workers)])
     # As with one process, the first film builds pipelines in every worker.
     cluster.finish(cluster.order())
     began = time.monotonic()
@@ -215,9 +218,7 @@ def speed(options, cluster):
 
 
 def memory(options, cluster):
-    for name in ["broker", "daemon", "worker"]:
-        cluster.start(name)
-    cluster.ready()
+    cluster.begin(["worker"])
     measured, faults = Memory(), []
     began = time.monotonic()
     films = 0
