@@ -76,7 +76,7 @@ fn an_edge_moves_by_its_parallax() {
     }
 }
 
-/// What is chosen for the unshifted eye is chosen for both images, even where each shows another part of the scene.
+/// Both images have the choices of the unshifted eye, even where each shows another part of the scene.
 #[test]
 fn both_images_are_drawn_alike() {
     let studio = Studio::new();
