@@ -5,14 +5,17 @@
 
 use std::path::PathBuf;
 
+use glam::DVec3;
 use pointillist::accuracy::metrics;
-use pointillist::math::{Camera, Projection};
+use pointillist::encode::ImageFormat;
+use pointillist::engine::{FrameRequest, Pose};
+use pointillist::math::{Camera, Projection, exposures};
 use pointillist::plan::{
-    Antialias, ColorBy, Edl, Lod, MaxError, PointSizePx, Reconstruct, Settings,
+    Antialias, BlurSamples, ColorBy, Edl, Lod, MaxError, Output, PointSizePx, Reconstruct, Settings,
 };
 use pointillist::scene::recolor::ColorMap;
 
-use super::stage::Case;
+use super::stage::{Case, wide_engine};
 use super::verdict;
 
 const WIDTH: u32 = 192;
@@ -191,4 +194,33 @@ fn effects_and_other_settings() {
     compare_with("part", &["detail"], orthographic, "-orthographic");
     let half = Some("-100,-100,-100,4,100,100".parse().unwrap());
     compare_with("plaza", &["assembly"], Settings { clip_boxes: half, ..points }, "-clipped");
+}
+
+#[test]
+fn depth_of_field_and_motion_blur() {
+    let blur_samples = BlurSamples::Exposures16;
+    let settings = Settings { blur_samples, ..Settings::drawn_as(Reconstruct::Points) };
+    let lens = Settings { aperture: 0.25.into(), focus_distance: 8.0.into(), ..settings };
+    compare_with("plaza", &["walk"], lens, "-lens");
+    // The camera moves to the right while the shutter is open.
+    let case = Case::as_shipped("plaza");
+    let camera = case.reference.camera("walk").unwrap();
+    let at = |time: f64| {
+        let way = DVec3::X * (time - 0.5);
+        Camera { eye: camera.eye + way, target: camera.target + way, ..camera }
+    };
+    let exposed: Vec<Camera> = exposures(16).map(|one| at(one.time)).collect();
+    let request = FrameRequest {
+        scene: case.id.clone(),
+        pose: Pose::Moving { camera, exposed: exposed.into() },
+        width: WIDTH,
+        height: HEIGHT,
+        settings: Settings { shutter: 0.5.into(), ..settings },
+        output: Output::Color,
+        format: ImageFormat::Raw,
+        quality: 85,
+        deadline: None,
+    };
+    let frame = wide_engine().submit(request).unwrap().wait().unwrap();
+    hold("plaza-walk-moving", frame.bytes.as_chunks().0);
 }
