@@ -1,6 +1,6 @@
 //! Settings that are numbers.
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::SettingKind;
 
@@ -23,7 +23,8 @@ macro_rules! numbers {
             /// `None` for values that frames are not drawn with.
             pub fn new(value: f32) -> Option<$name> {
                 let [least, most] = $name::DRAWN;
-                (least..=most).contains(&value).then_some($name(value))
+                // One form for both zeros.
+                (least..=most).contains(&value).then_some($name(value + 0.0))
             }
 
             pub fn get(self) -> f32 {
@@ -253,7 +254,12 @@ fn exact(number: f32) -> f64 {
 /// A bound of the values that a colour map shows, in scene units or in those of the field.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(transparent)]
-pub struct ColorBound(f64);
+pub struct ColorBound(#[serde(deserialize_with = "with_one_zero")] f64);
+
+/// Reads a number with one form for both zeros.
+fn with_one_zero<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    Ok(f64::deserialize(deserializer)? + 0.0)
+}
 
 impl ColorBound {
     pub fn get(self) -> f64 {
@@ -273,7 +279,7 @@ impl ColorBound {
 
 impl From<f64> for ColorBound {
     fn from(value: f64) -> Self {
-        ColorBound(value)
+        ColorBound(value + 0.0)
     }
 }
 
@@ -281,7 +287,7 @@ impl std::str::FromStr for ColorBound {
     type Err = std::num::ParseFloatError;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        text.parse().map(ColorBound)
+        text.parse().map(f64::into)
     }
 }
 

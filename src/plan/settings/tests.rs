@@ -322,3 +322,25 @@ fn a_bound_beyond_the_scene_keeps_the_direction_of_the_map() {
     assert_eq!(range(&[("color_most", "2")], [2.0, 2.0]), [1.0, 2.0]);
     assert_eq!(range(&[("color_least", "1"), ("color_most", "9")], [2.0, 3.0]), [1.0, 9.0]);
 }
+
+/// Settings that compare as different give equal frames different tags, and the planner promises nothing for them.
+#[test]
+fn both_zeros_are_the_same_value() {
+    let mut compared = 0;
+    for setting in declared() {
+        let SettingKind::Number { least, .. } = setting.kind else { continue };
+        if least > 0.0 {
+            continue;
+        }
+        let with = |zero: f64| {
+            let mut given = Given::default();
+            given.set(setting.name, zero.into()).unwrap();
+            Settings::from(given)
+        };
+        assert_eq!(with(-0.0), with(0.0), "{}", setting.name);
+        compared += 1;
+    }
+    assert!(compared > 5, "{compared} numbers may be 0");
+    // Options of the command line are read from text.
+    assert_eq!("-0".parse::<ColorBound>(), Ok(ColorBound::from(0.0)));
+}
