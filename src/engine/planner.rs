@@ -475,6 +475,11 @@ mod tests {
                 assert_eq!(asked(&[("budget_ms", "5"), (name, value)]), number, "{name}={value}");
             }
         }
+        for [least, most] in [["1", "2"], ["-3", "-2"], ["5", "9"]] {
+            let bounds = [("color_least", least), ("color_most", most)];
+            let pairs = [&[("budget_ms", "5"), ("color_by", "height")][..], &bounds].concat();
+            assert_eq!(asked(&pairs), 6, "{bounds:?}");
+        }
     }
 
     #[test]

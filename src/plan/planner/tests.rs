@@ -194,8 +194,14 @@ fn another_look_is_promised_nothing() {
 #[test]
 fn requests_that_look_otherwise_have_the_same_choice() {
     let (planner, grounds) = planner();
-    let moved =
-        asked(&[("budget_ms", "1000"), ("clip_boxes", "0,0,0,2,1,1"), ("exposure", "-2.5")]);
+    let moved = asked(&[
+        ("budget_ms", "1000"),
+        ("clip_boxes", "0,0,0,2,1,1"),
+        ("exposure", "-2.5"),
+        ("color_by", "height"),
+        ("color_least", "-4"),
+        ("color_most", "-3"),
+    ]);
     let chosen = |asked: &Asked| {
         let is_clipped = |settings: &Settings| settings.clip_boxes == moved.clip_boxes;
         let goal = moved.goal().unwrap();
@@ -205,7 +211,8 @@ fn requests_that_look_otherwise_have_the_same_choice() {
     let shared = chosen(&of_any.looking_like(&moved));
     assert_eq!(shared, chosen(&planner.asked(&moved)));
     assert_eq!((shared.settings.clip_boxes, shared.plan.keeps), (moved.clip_boxes, None));
-    assert_eq!(shared.settings.exposure, moved.exposure);
+    let look = |settings: &Settings| (settings.exposure, settings.color_least, settings.color_most);
+    assert_eq!(look(&shared.settings), look(&moved));
     assert!(shared.plan.because.contains("clip_boxes"), "{}", shared.plan.because);
 }
 

@@ -41,6 +41,8 @@ impl Settings {
             budget_ms: 1.0.into(),
             min_psnr_db: MinPsnr::default(),
             clip_boxes: self.clip_boxes.map(|_| ClipBoxes::EVERYTHING),
+            color_least: self.color_least.map(|_| 0.0.into()),
+            color_most: self.color_most.map(|_| 1.0.into()),
             exposure: some(self.exposure, 1.0),
             edl_strength: some(self.edl_strength, 1.0),
             edl_radius_px: some(self.edl_radius_px, 2.0),
@@ -53,6 +55,8 @@ impl Settings {
     pub fn looking_like(&self, other: &Settings) -> Settings {
         Settings {
             clip_boxes: other.clip_boxes,
+            color_least: other.color_least,
+            color_most: other.color_most,
             exposure: other.exposure,
             edl_strength: other.edl_strength,
             edl_radius_px: other.edl_radius_px,
