@@ -179,7 +179,12 @@ fn what_is_given_stays() {
 #[test]
 fn another_look_is_promised_nothing() {
     let (planner, grounds) = planner();
-    for others in [&[("background", "#ffffff")][..], &[("fog", "off"), ("color_by", "normal")]] {
+    for others in [
+        &[("background", "#ffffff")][..],
+        &[("fog", "off"), ("color_by", "normal")],
+        // What is predicted for the unshifted eye is not known of an eye anywhere beside it.
+        &[("eye_offset", "0.03")],
+    ] {
         let pairs = [&[("budget_ms", "1000")], others].concat();
         let chosen = choose(&planner, &pairs, &grounds[4]).unwrap();
         assert_eq!(chosen.plan.chosen.unwrap().setting, "fine", "{others:?}");
