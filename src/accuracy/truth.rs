@@ -34,7 +34,7 @@ pub struct Truth {
     pub height: u32,
     /// sRGB, opaque.
     pub color: Vec<[u8; 4]>,
-    /// Whether at least half of the pixel shows the scene.
+    /// Whether at least half of the pixel shows the scene; of the oracle, whether the pixel's centre does.
     pub covered: Vec<bool>,
     /// Distance along the viewing axis in scene units; infinite where nothing is.
     pub depth: Vec<f32>,
