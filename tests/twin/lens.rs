@@ -1,4 +1,4 @@
-//! Depth of field: frames are the means of their exposures, and blur is what a thin lens makes.
+//! Depth of field: frames are the means of their exposures, and blur is what a thin lens makes. Images of stereo pairs: as seen from beside the eye.
 
 use std::f64::consts::PI;
 
@@ -14,6 +14,7 @@ use serde_json::json;
 use super::files::Shape;
 use super::lines::vtk;
 use super::stage::{Case, look};
+use super::verdict::{Tolerance, judge};
 
 const LENS: f64 = 0.25;
 
@@ -222,5 +223,19 @@ fn an_edge_is_blurred_as_by_a_disc() {
         println!("{count:?}: radius {radius:.2} px, error {worst:.4}");
         assert!(radius > 6.0 && worst < most && worst < before, "{count:?}: {worst}");
         before = worst;
+    }
+}
+
+/// The oracle draws what an eye beside the camera sees, through a frustum whose plane of equal places goes through the target.
+#[test]
+fn images_of_stereo_pairs_are_the_oracles() {
+    let scene = json!({ "assets": { "m": { "file": "m.ply" } }, "nodes": [{ "asset": "m" }] });
+    let case = Case::new("stereo", &[("m.ply", Shape::ball(40, 1.0).ply())], &scene);
+    let view = look([0.0, 0.5, 4.0], [0.1, 0.0, 0.0], 45.0);
+    for offset in [-0.3, 0.3] {
+        let asked = Settings::drawn_as(Reconstruct::Points).shifted(offset);
+        let frames = case.draw_with(&view, asked);
+        let beside = view.from_lens(DVec2::new(offset, 0.0), view.focus);
+        judge(&case.id, &case.reference, &beside, &frames, &Tolerance::default());
     }
 }
