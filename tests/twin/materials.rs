@@ -1,5 +1,7 @@
 //! Materials, overrides, vertex colours, textures and cut-outs.
 
+use std::fmt::Write;
+
 use glam::DVec3;
 use serde_json::{Value, json};
 
@@ -67,6 +69,35 @@ fn textures_wrap_and_filter() {
             }
         }
     }
+}
+
+/// Red grows from left to right, and no vertex has blue, which the texture has everywhere.
+#[test]
+fn vertex_colors_tint_textures() {
+    let shape = wall(6, 1.0);
+    let mut text = "mtllib m.mtl\nusemtl t\n".to_owned();
+    for (p, [s, t]) in shape.positions.iter().zip(&shape.uvs) {
+        let red = (p.x + 2.0) / 5.0;
+        writeln!(text, "v {} {} {} {red} 0.8 0\nvt {s} {t}", p.x, p.y, p.z).unwrap();
+    }
+    for triangle in &shape.triangles {
+        let [a, b, c] = triangle.map(|corner| corner + 1);
+        writeln!(text, "f {a}/{a} {b}/{b} {c}/{c}").unwrap();
+    }
+    let files = [
+        ("m.obj", text.into_bytes()),
+        ("m.mtl", b"newmtl t\nKd 1 1 1\nmap_Kd t.png\n".to_vec()),
+        ("t.png", ramp(24, 20)),
+    ];
+    let scene = json!({ "assets": { "m": { "file": "m.obj" } }, "nodes": [{ "asset": "m" }],
+        "lights": [] });
+    let case = Case::new("vertex-colors-texture", &files, &scene);
+    let view = look([0.6, 0.3, 3.4], [0.1, 0.0, 0.0], 50.0);
+    let frames = case.check(&view, &Tolerance::default());
+    let shown = frames.id.iter().zip(&frames.color).filter(|(id, _)| **id != 0);
+    let [most_red, _, most_blue, _] =
+        shown.fold([0; 4], |most: [u8; 4], (_, own)| std::array::from_fn(|i| most[i].max(own[i])));
+    assert!(most_red > 60 && most_blue == 0, "{most_red} {most_blue}");
 }
 
 /// From strong magnification to a pixel that covers many texels; odd sizes; grazing views.
