@@ -98,8 +98,18 @@ impl Delimiter {
         }
     }
 
-    /// Calls `take` with every column's text, blanks trimmed; a separator at the end adds none. Between commas and semicolons, blanks
-    /// separate columns too, unless columns are whole: then they may have blanks, and separators in quotes.
+    /// The columns of a line. A separator at the end adds none.
+    fn columns(self, line: &str, are_whole: bool) -> Vec<&str> {
+        let mut columns = Vec::new();
+        self.split(line, are_whole, &mut |column| columns.push(column));
+        if columns.last().is_some_and(|last| last.is_empty()) {
+            columns.pop();
+        }
+        columns
+    }
+
+    /// Calls `take` with every column's text, blanks trimmed; a separator at the end adds an empty one. Between commas and semicolons,
+    /// blanks separate columns too, unless columns are whole: then they may have blanks, and separators in quotes.
     fn split<'l>(self, line: &'l str, are_whole: bool, take: &mut impl FnMut(&'l str)) {
         let separator = match self {
             Self::Blank | Self::BlankDecimalComma => {
@@ -108,7 +118,6 @@ impl Delimiter {
             Self::Comma => ',',
             Self::Semicolon => ';',
         };
-        let line = line.strip_suffix(separator).unwrap_or(line);
         if are_whole && !line.contains('"') {
             return line.split(separator).for_each(|column| take(column.trim()));
         }
@@ -201,17 +210,15 @@ impl Table {
     /// Takes a line as the header if it names x, y and z.
     fn header(&mut self, line: &str) -> bool {
         let delimiter = Delimiter::of(line);
-        let mut roles = Vec::new();
-        delimiter.split(line, true, &mut |name| roles.push(Kept::named(name)));
-        self.are_whole = layout::position(&roles).is_some();
-        if !self.are_whole {
-            // Blanks beside commas separate columns, too.
-            roles.clear();
-            delimiter.split(line, false, &mut |token| roles.push(Kept::named(token)));
-        }
-        let Some(position) = layout::position(&roles).filter(|_| roles.len() <= MAX_COLUMNS) else {
-            return false;
-        };
+        // Blanks beside commas separate columns, too, where no whole ones name a position.
+        let found = [true, false].into_iter().find_map(|are_whole| {
+            let columns = delimiter.columns(line, are_whole).into_iter();
+            let roles: Vec<Kept> = columns.map(Kept::named).collect();
+            let position = layout::position(&roles).filter(|_| roles.len() <= MAX_COLUMNS)?;
+            Some((are_whole, roles, position))
+        });
+        let Some((are_whole, roles, position)) = found else { return false };
+        self.are_whole = are_whole;
         let mut named: Vec<Kept> = Vec::new();
         self.targets = roles
             .iter()
@@ -236,8 +243,7 @@ impl Table {
         let delimiter = Delimiter::of(line);
         self.delimiter = Some(delimiter);
         if self.targets.is_empty() {
-            let mut columns = 0;
-            delimiter.split(line, false, &mut |_| columns += 1);
+            let columns = delimiter.columns(line, false).len();
             if !(3..=MAX_COLUMNS).contains(&columns) {
                 return Err(malformed(
                     name,
@@ -254,7 +260,7 @@ impl Table {
 
     fn data(&mut self, line: &str, number: u64, name: &str) -> Result<(), AssetError> {
         let delimiter = self.delimiter.unwrap_or(Delimiter::Blank);
-        let (mut column, mut bad) = (0, None);
+        let (mut column, mut bad, mut is_last_empty) = (0, None, false);
         let (targets, row, named) = (&self.targets, &mut self.row, self.named.as_deref());
         let is_optional = |target: usize| {
             let kept = named.zip(target.checked_sub(3)).and_then(|(named, at)| named.get(at));
@@ -270,7 +276,10 @@ impl Table {
                 }
             }
             column += 1;
+            is_last_empty = token.is_empty();
         });
+        // A separator at the end of a row adds no column.
+        column -= usize::from(is_last_empty && column == targets.len() + 1);
         if let Some((column, token)) = bad {
             let place = format!("line {number}, column {}", column + 1);
             return Err(malformed(name, place, format!("{} is not a number", quote(token))));

@@ -138,6 +138,19 @@ fn other_columns_are_fields() {
 }
 
 #[test]
+fn the_last_column_may_be_empty() {
+    for text in ["x,y,z,Zone\n0,0,1,\n0,0,2,7\n", "x;y;z;Zone;\n0;0;1;;\n0;0;2;7\n"] {
+        let cloud = cloud_of(text);
+        assert_eq!(cloud.positions, [DVec3::Z, DVec3::Z * 2.0], "{text}");
+        let zones = cloud.values_of("Zone").unwrap();
+        assert!(zones[0].is_nan() && zones[1] == 7.0, "{zones:?}");
+    }
+    assert_eq!(cloud_of("1,2,3,\n4,5,6\n").positions.len(), 2);
+    let error = read_text("1,2,3\n4,5,6,,\n").unwrap_err().to_string();
+    assert!(error.contains("line 2: has 5 columns"), "{error}");
+}
+
+#[test]
 fn errors_name_line_and_column() {
     let error = |text: &str| read_text(text).unwrap_err().to_string();
     assert_eq!(error("0 0 0\n1 2 rose\n"), "t.xyz: line 2, column 3: \"rose\" is not a number");
