@@ -13,8 +13,8 @@
 //! | 9 | x y z, colour and normal in either order |
 //!
 //! Other numbers of columns are read group by group in the same way. Blanks, tabs, commas and
-//! semicolons separate columns. Where a header names columns between commas or semicolons, blanks are part of a
-//! column, and so are separators between double quotes. Where semicolons separate, or blanks do and x, y and z
+//! semicolons separate columns. Where a header names columns between tabs, commas or semicolons, blanks are part of a
+//! column, and so are separators between double quotes. Where semicolons or such tabs separate, or blanks do and x, y and z
 //! have a comma each, the comma is the decimal sign. Lines that begin with `#` or `//` are comments; a first one
 //! that names x, y and z is a header. A line with one whole number is a count of points, as PTS has it.
 
@@ -69,16 +69,19 @@ pub fn read_from(
     table.finish(name)
 }
 
-/// Separator of columns, found in the first line that is no comment.
+/// Separator of columns, found in the header or in the first line that is no comment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Delimiter {
     Blank,
+    /// Under a header that tabs separate, too.
+    Tab,
     Comma,
     Semicolon,
     BlankDecimalComma,
 }
 
 impl Delimiter {
+    /// The separator of a line. Tabs without a header are blanks.
     fn of(line: &str) -> Self {
         // Blanks keep numbers apart that have a comma each: "1,5 2,0 3,25".
         let decimal = |word: &&str| {
@@ -102,9 +105,7 @@ impl Delimiter {
     fn columns(self, line: &str, are_whole: bool) -> Vec<&str> {
         let mut columns = Vec::new();
         self.split(line, are_whole, &mut |column| columns.push(column));
-        if columns.last().is_some_and(|last| last.is_empty()) {
-            columns.pop();
-        }
+        columns.pop_if(|last| last.is_empty());
         columns
     }
 
@@ -115,6 +116,7 @@ impl Delimiter {
             Self::Blank | Self::BlankDecimalComma => {
                 return line.split_ascii_whitespace().for_each(take);
             }
+            Self::Tab => '\t',
             Self::Comma => ',',
             Self::Semicolon => ';',
         };
@@ -149,10 +151,8 @@ impl Delimiter {
         }
         match token.parse() {
             Ok(value) => Some(value),
-            Err(_) if matches!(self, Self::Semicolon | Self::BlankDecimalComma) => {
-                token.replacen(',', ".", 1).parse().ok()
-            }
-            Err(_) => None,
+            Err(_) if self == Self::Comma || self == Self::Blank => None,
+            Err(_) => token.replacen(',', ".", 1).parse().ok(),
         }
     }
 }
@@ -165,7 +165,9 @@ struct Table {
     extras: Vec<Vec<f32>>,
     /// Each kept column, when a header names them.
     named: Option<Vec<Kept>>,
-    /// Whether columns are whole between commas or semicolons, as in the header.
+    /// Whether tabs separate the names of the header.
+    has_tabs: bool,
+    /// Whether columns are whole between tabs, commas or semicolons, as in the header.
     are_whole: bool,
     /// For each column of the file where it goes: 0, 1, 2 for x, y, z, then `extras`.
     targets: Vec<Option<usize>>,
@@ -185,12 +187,13 @@ impl Table {
     }
 
     fn line(&mut self, line: &str, number: u64, name: &str) -> Result<(), AssetError> {
-        if line.is_empty() {
+        let text = line.trim();
+        if text.is_empty() {
             return Ok(());
         }
-        if let Some(comment) = line.strip_prefix("//").or_else(|| line.strip_prefix('#')) {
+        if let Some(comment) = text.strip_prefix("//").or_else(|| text.strip_prefix('#')) {
             if self.targets.is_empty() {
-                self.header(comment.trim_start_matches(['/', '#', ' ']));
+                self.header(comment.trim_start_matches(['/', '#', ' ', '\t']));
             }
             return Ok(());
         }
@@ -198,27 +201,30 @@ impl Table {
             if self.targets.is_empty() && self.header(line) {
                 return Ok(());
             }
-            if let Ok(count) = line.parse::<u64>() {
+            if let Ok(count) = text.parse::<u64>() {
                 self.announced = Some(self.announced.unwrap_or(0).saturating_add(count));
                 return Ok(());
             }
             self.start(line, number, name)?;
         }
-        self.data(line, number, name)
+        let row = if self.delimiter == Some(Delimiter::Tab) { line } else { text };
+        self.data(row, number, name)
     }
 
     /// Takes a line as the header if it names x, y and z.
     fn header(&mut self, line: &str) -> bool {
-        let delimiter = Delimiter::of(line);
+        let (text, delimiter) = (line.trim(), Delimiter::of(line));
         // Blanks beside commas separate columns, too, where no whole ones name a position.
-        let found = [true, false].into_iter().find_map(|are_whole| {
+        let ways =
+            [(line, Delimiter::Tab, true), (text, delimiter, true), (text, delimiter, false)];
+        let found = ways.into_iter().find_map(|(line, delimiter, are_whole)| {
             let columns = delimiter.columns(line, are_whole).into_iter();
             let roles: Vec<Kept> = columns.map(Kept::named).collect();
             let position = layout::position(&roles).filter(|_| roles.len() <= MAX_COLUMNS)?;
-            Some((are_whole, roles, position))
+            Some((delimiter == Delimiter::Tab, are_whole, roles, position))
         });
-        let Some((are_whole, roles, position)) = found else { return false };
-        self.are_whole = are_whole;
+        let Some((has_tabs, are_whole, roles, position)) = found else { return false };
+        (self.has_tabs, self.are_whole) = (has_tabs, are_whole);
         let mut named: Vec<Kept> = Vec::new();
         self.targets = roles
             .iter()
@@ -240,10 +246,14 @@ impl Table {
 
     /// Fixes separator and number of columns at the first row.
     fn start(&mut self, line: &str, number: u64, name: &str) -> Result<(), AssetError> {
-        let delimiter = Delimiter::of(line);
+        let (mut by_tabs, columns) = (0_usize, self.targets.len());
+        Delimiter::Tab.split(line, true, &mut |_| by_tabs += 1);
+        // Other numbers of tabs align columns. One may end the row.
+        let has_tabs = self.has_tabs && (columns..=columns + 1).contains(&by_tabs);
+        let delimiter = if has_tabs { Delimiter::Tab } else { Delimiter::of(line) };
         self.delimiter = Some(delimiter);
         if self.targets.is_empty() {
-            let columns = delimiter.columns(line, false).len();
+            let columns = delimiter.columns(line.trim(), false).len();
             if !(3..=MAX_COLUMNS).contains(&columns) {
                 return Err(malformed(
                     name,

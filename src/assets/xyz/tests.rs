@@ -115,13 +115,18 @@ fn text_in_a_column_may_have_blanks() {
         "x,y,z,Zone,height above ground\n0,0,1,\"pine; old\",2\n0,0,2,5\",7\n",
         "x,y,z,Zone,height above ground\n0,0,1, \"a \"\"b\"\", c\",2\n0,0,2,\"\",7\n",
         "x;y;z;Zone;height above ground;\n0;0;1;pine; 2\n0;0;2,0;two small trees;7;\n",
+        "x\ty\tz\tZone\theight above ground\n0\t0\t1\tpine, old\t2\n0\t0\t2,0\t\t7\n",
+        "\tx\ty\tz\theight above ground\tZone\nold pine\t0\t0\t1\t2\tA 1\n\t0\t0\t2\t7\t\n",
+        "//x\ty\tz\tZone\theight above ground\n0\t0\t1\t\"a\tb\"\t2\t\n0\t0\t2\ta b\t7\n",
     ] {
         let cloud = cloud_of(text);
         assert_eq!(cloud.positions, [DVec3::Z, DVec3::Z * 2.0], "{text}");
         assert_eq!(cloud.values_of("height above ground"), Some(vec![2.0, 7.0]), "{text}");
     }
-    // Without a header, blanks separate.
-    assert_eq!(cloud_of("1, 2 3\n").positions, [DVec3::new(1.0, 2.0, 3.0)]);
+    // Without a header, blanks separate. Tabs may align columns.
+    for text in ["1, 2 3\n", "\t1\t\t2 3\t\n", "x\ty\tz\n1\t\t\t2\t3\n", "x\ty\tz\n1 2 3\n"] {
+        assert_eq!(cloud_of(text).positions, [DVec3::new(1.0, 2.0, 3.0)], "{text}");
+    }
 }
 
 #[test]
