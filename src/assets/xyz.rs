@@ -162,7 +162,7 @@ impl Delimiter {
 struct Table {
     positions: Vec<DVec3>,
     /// Kept columns, each as long as `positions`.
-    extras: Vec<Vec<f32>>,
+    extras: Vec<Vec<f64>>,
     /// Each kept column, when a header names them.
     named: Option<Vec<Kept>>,
     /// Whether tabs separate the names of the header.
@@ -183,7 +183,7 @@ struct Table {
 impl Table {
     /// Bytes of a row that is kept.
     fn row_bytes(&self) -> u64 {
-        24 + 4 * self.extras.len() as u64
+        24 + 8 * self.extras.len() as u64
     }
 
     fn line(&mut self, line: &str, number: u64, name: &str) -> Result<(), AssetError> {
@@ -312,7 +312,7 @@ impl Table {
         }
         self.positions.push(position);
         for (column, &value) in self.extras.iter_mut().zip(&self.row[3..]) {
-            column.push(value as f32);
+            column.push(value);
         }
         Ok(())
     }
@@ -337,7 +337,7 @@ impl Table {
             Some(named) => named,
             None => layout::by_content(&self.extras),
         };
-        let cloud = layout::cloud(self.positions, &self.extras, &roles, &mut warnings);
+        let cloud = layout::cloud(self.positions, self.extras, &roles, &mut warnings);
         let mut asset = Asset::single("xyz", name, Geometry::Points(cloud));
         asset.warnings = warnings;
         Ok(asset)

@@ -156,6 +156,15 @@ fn the_last_column_may_be_empty() {
 }
 
 #[test]
+fn fields_keep_the_digits_of_large_numbers() {
+    let text = "x,y,z,gps_time\n0,0,0,300000000.25\n0,0,1,300000001.5\n0,0,2,300000002.75\n";
+    let times = cloud_of(text).values_of("gps_time").unwrap();
+    for (found, time) in times.into_iter().zip([300000000.25, 300000001.5, 300000002.75]) {
+        assert!((found - time).abs() < 1e-4, "{found}");
+    }
+}
+
+#[test]
 fn errors_name_line_and_column() {
     let error = |text: &str| read_text(text).unwrap_err().to_string();
     assert_eq!(error("0 0 0\n1 2 rose\n"), "t.xyz: line 2, column 3: \"rose\" is not a number");
