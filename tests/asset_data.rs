@@ -307,7 +307,10 @@ fn broken_files_are_refused_in_words() {
     let Some(folder) = data() else { return };
     for (name, words) in [
         ("corrupt/truncated.ply", "the file ends here"),
-        ("corrupt/corrupted_invalid_vertex_count.ply", ""),
+        (
+            "corrupt/corrupted_invalid_vertex_count.ply",
+            "face 19, property vertex_indices: the file ends",
+        ),
         ("corrupt/crash-30d6d0f7c529b3b66b4131700b7a4580cd7082df.ply", "header line 7"),
         ("corrupt/empty.ply", "is empty"),
         ("corrupt/no_vertex.ply", "no vertex element"),
@@ -317,6 +320,7 @@ fn broken_files_are_refused_in_words() {
         ("corrupt/truncated.off", "vertex 3 (line 6): has 1 of 3 values"),
         ("corrupt/OutOfMemory.off", "declares 353535235358"),
         ("corrupt/truncated.stl", "declares 20 triangles"),
+        ("corrupt/no_magic_number.tck", "a track file begins with \"mrtrix tracks\""),
         ("corrupt/badArray.gltf", "meshes[0].primitives"),
         ("corrupt/badNumber.gltf", "materials[0].normalTexture.scale"),
     ] {

@@ -95,6 +95,7 @@ fn read_ascii(
     while point < header.points {
         let number = lines.number() + 1;
         let Some(line) = lines.next_line()? else { return Err(truncated(name, header, point)) };
+        let line = line.trim_start();
         if line.is_empty() || line.starts_with('#') {
             continue;
         }

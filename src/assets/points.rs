@@ -124,7 +124,8 @@ impl<'a, R: BufRead> Lines<'a, R> {
         self.reader
     }
 
-    /// The next line without its end and surrounding blanks, `None` at the end of the file.
+    /// The next line without its end and the blanks around it, `None` at the end of the file. Tabs stay, because they may
+    /// separate empty columns.
     ///
     /// # Errors
     /// A line over 64 KiB, NUL bytes, more bytes than the options allow, anything unreadable.
@@ -158,7 +159,9 @@ impl<'a, R: BufRead> Lines<'a, R> {
             self.buffer.drain(..3);
         }
         match std::str::from_utf8(&self.buffer) {
-            Ok(line) if !line.contains('\0') => Ok(Some(line.trim())),
+            Ok(line) if !line.contains('\0') => {
+                Ok(Some(line.trim_matches(|letter: char| letter.is_whitespace() && letter != '\t')))
+            }
             _ => Err(malformed(
                 self.name,
                 format!("line {}", self.number),
@@ -335,9 +338,9 @@ mod tests {
     #[test]
     fn lines_are_bounded() {
         let options = ReadOptions::default();
-        let text = "\u{feff}a b \r\n\nlast";
+        let text = "\u{feff}a b\t \r\n\nlast";
         let mut lines = Lines::new(text.as_bytes(), "t", &options);
-        assert_eq!(lines.next_line().unwrap(), Some("a b"));
+        assert_eq!(lines.next_line().unwrap(), Some("a b\t"));
         assert_eq!(lines.next_line().unwrap(), Some(""));
         assert_eq!(lines.next_line().unwrap(), Some("last"));
         assert_eq!(lines.number(), 3);

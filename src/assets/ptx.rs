@@ -3,8 +3,8 @@
 //! Each scan has a header — columns, rows, scanner position, its three axes, and a 4 × 4 matrix that
 //! takes scanner coordinates to the common frame, one **row vector** a line (translation in the last
 //! line) — and then columns · rows lines `x y z intensity [r g b]` in scanner coordinates. `0 0 0`
-//! marks a pulse without return, on a line that may be shorter than the others. Every scan becomes a geometry,
-//! placed by its matrix.
+//! marks a pulse without return. Lines of a scan may differ in what follows the coordinates: returns beside what the camera
+//! saw have no colour. Every scan becomes a geometry, placed by its matrix.
 
 use std::io::BufRead;
 use std::path::Path;
@@ -13,6 +13,7 @@ use glam::{DAffine3, DMat3, DVec3};
 
 use super::fields::{self, Column, INTENSITY, Numbers};
 use super::points::{self, Lines, colors, malformed, quote, skipped_warning};
+use super::warnings::counted;
 use super::{Asset, AssetError, Geometry, Placement, PointCloud, ReadOptions};
 use crate::math::Sensor;
 use crate::memory::Interrupt;
@@ -152,8 +153,12 @@ fn affine(m: [[f64; 4]; 4]) -> DAffine3 {
 struct Scan {
     file_from_scan: DAffine3,
     positions: Vec<DVec3>,
+    /// Empty, or the intensity of each position; not-a-number where it has none.
     intensities: Vec<f32>,
+    /// Empty, or the colour of each position; not-a-number where it has none.
     rgb: Vec<[f32; 3]>,
+    /// Positions without a colour.
+    bare: u64,
     no_return: u64,
     not_finite: u64,
 }
@@ -170,27 +175,32 @@ impl Scan {
             positions: Vec::new(),
             intensities: Vec::new(),
             rgb: Vec::new(),
+            bare: 0,
             no_return: 0,
             not_finite: 0,
         };
-        let mut columns = None;
         for point in 0..header.points {
             let Some((values, count)) = rows.next()? else {
                 let reason = format!("the header announces {} points", header.points);
                 let place = format!("scan {index}, point {point}: the file ends");
                 return Err(malformed(rows.name, place, reason));
             };
-            // A pulse without return has neither intensity nor colour.
-            let is_return = values[..3] != [0.0; 3];
-            let expected = if is_return { *columns.get_or_insert(count) } else { count };
-            if count != expected || !matches!(count, 3 | 4 | 6 | 7) {
+            if !matches!(count, 3 | 4 | 6 | 7) {
                 let place = format!("scan {index}, point {point} (line {})", rows.lines.number());
-                let reason = format!("has {count} columns, expected 4 or 7 and the same in a scan");
+                let reason = format!("has {count} columns, expected 4 or 7");
                 return Err(malformed(rows.name, place, reason));
             }
             scan.push(&values[..count]);
             admit(scan.bytes())?;
         }
+        // Positions behind the last one with an intensity, or a colour, have none.
+        if !scan.intensities.is_empty() {
+            scan.intensities.resize(scan.positions.len(), f32::NAN);
+        }
+        if !scan.rgb.is_empty() {
+            scan.rgb.resize(scan.positions.len(), [f32::NAN; 3]);
+        }
+        admit(scan.bytes())?;
         Ok(scan)
     }
 
@@ -213,13 +223,30 @@ impl Scan {
             self.not_finite += 1;
             return;
         }
+        // Positions since the last one with an intensity, or a colour, have none.
+        let before = self.positions.len();
         self.positions.push(position);
         if let &[intensity] | &[intensity, _, _, _] = rest {
+            self.intensities.resize(before, f32::NAN);
             self.intensities.push(intensity as f32);
         }
         if let &[r, g, b] | &[_, r, g, b] = rest {
+            self.rgb.resize(before, [f32::NAN; 3]);
             self.rgb.push([r, g, b].map(|channel| channel as f32));
+        } else {
+            self.bare += 1;
         }
+    }
+
+    /// The colour of each position, white where it has none; `None` where no position has one.
+    fn colors(&self) -> Option<Vec<[u8; 4]>> {
+        let mut colors = colors(self.rgb.len(), |point| self.rgb[point])?;
+        for (color, rgb) in colors.iter_mut().zip(&self.rgb) {
+            if rgb.iter().all(|channel| channel.is_nan()) {
+                *color = [255; 4];
+            }
+        }
+        Some(colors)
     }
 }
 
@@ -229,6 +256,7 @@ fn finish(scans: Vec<Scan>, name: &str) -> Result<Asset, AssetError> {
     asset.warnings.extend(skipped_warning(sum(|scan| scan.not_finite), "no finite position"));
     let no_return: u64 = sum(|scan| scan.no_return);
     let scan_count = scans.len();
+    let mut bare = 0;
     for (index, scan) in scans.into_iter().enumerate() {
         if scan.positions.is_empty() {
             asset.warnings.push(format!("scan {index} holds no points"));
@@ -239,21 +267,21 @@ fn finish(scans: Vec<Scan>, name: &str) -> Result<Asset, AssetError> {
             geometry: asset.geometries.len(),
             asset_from_geometry: scan.file_from_scan,
         });
-        let count = scan.positions.len();
-        let numbers = Numbers::Singles(scan.intensities);
-        let intensity = Column::of(INTENSITY, numbers);
-        let columns = if intensity.len() == count { vec![intensity] } else { Vec::new() };
+        let colors = scan.colors();
+        bare += if colors.is_some() { scan.bare } else { 0 };
+        let intensity = Column::of(INTENSITY, Numbers::Singles(scan.intensities));
         asset.geometries.push(Geometry::Points(PointCloud {
-            colors: if scan.rgb.len() == count {
-                colors(count, |point| scan.rgb[point])
-            } else {
-                None
-            },
-            fields: fields::encoded(columns, &mut asset.warnings),
+            colors,
+            fields: fields::encoded(vec![intensity], &mut asset.warnings),
             positions: scan.positions,
             ..PointCloud::default()
         }));
     }
+    asset.warnings.extend(counted(
+        bare,
+        "point has no colour and is drawn white",
+        "points have no colour and are drawn white",
+    ));
     // Scans are in the coordinates of their scanner.
     if let [only] = &asset.placements[..] {
         asset.sensor = Some(Sensor::Place(only.asset_from_geometry.translation));
@@ -326,6 +354,23 @@ mod tests {
     }
 
     #[test]
+    fn returns_may_have_fewer_columns_than_others() {
+        for (first, intensity) in [("3 0 0", f64::NAN), ("3 0 0 0.5", 0.5)] {
+            let rows = format!("{first}\n1 0 0 0.25 255 0 9\n{first}\n0 0 0");
+            let asset = read_text(&scan(&rows, 4)).unwrap();
+            let cloud = points(&asset, 0);
+            assert_eq!(cloud.colors, Some(vec![[255; 4], [255, 0, 9, 255], [255; 4]]), "{first}");
+            let found = cloud.values_of(INTENSITY).unwrap();
+            let expected = [intensity, 0.25, intensity];
+            assert!(
+                found.iter().zip(expected).all(|(a, b)| a.to_bits() == b.to_bits()),
+                "{found:?}"
+            );
+            assert_eq!(asset.warnings, ["2 points have no colour and are drawn white"]);
+        }
+    }
+
+    #[test]
     fn a_translation_in_the_last_column_is_recognised() {
         let m = [[1.0, 0.0, 0.0, 5.0], [0.0, 1.0, 0.0, 6.0], [0.0, 0.0, 1.0, 7.0]];
         let map = affine([m[0], m[1], m[2], [0.0, 0.0, 0.0, 1.0]]);
@@ -340,7 +385,7 @@ mod tests {
         assert!(error("2\n1\n0 0\n").contains("scan 0, scanner position (line 3)"));
         assert!(error(&scan("1 0 0 1", 2)).contains("scan 0, point 1: the file ends"));
         assert!(error(&scan("1 0 0 x", 1)).contains("line 11, column 4"));
-        assert!(error(&scan("1 0 0 1\n1 0 0 1 2 3 4", 2)).contains("point 1 (line 12)"));
+        assert!(error(&scan("1 0 0 1\n1 0 0 1 2", 2)).contains("point 1 (line 12)"));
         assert!(error(&scan("0 0 0 0", 1)).contains("none of its 1 pulses"));
         let huge = scan("1 0 0 1", 1).replacen("1\n1\n", "4000000000\n4000000000\n", 1);
         assert!(matches!(read_text(&huge), Err(AssetError::TooLarge { .. })));

@@ -13,8 +13,8 @@
 //! | 9 | x y z, colour and normal in either order |
 //!
 //! Other numbers of columns are read group by group in the same way. Blanks, tabs, commas and
-//! semicolons separate columns. Where a header names columns between commas or semicolons, blanks are part of a
-//! column, and so are separators between double quotes. Where semicolons separate, or blanks do and x, y and z
+//! semicolons separate columns. Where a header names columns between tabs, commas or semicolons, blanks are part of a
+//! column, and so are separators between double quotes. Where semicolons or such tabs separate, or blanks do and x, y and z
 //! have a comma each, the comma is the decimal sign. Lines that begin with `#` or `//` are comments; a first one
 //! that names x, y and z is a header. A line with one whole number is a count of points, as PTS has it.
 
@@ -69,16 +69,19 @@ pub fn read_from(
     table.finish(name)
 }
 
-/// Separator of columns, found in the first line that is no comment.
+/// Separator of columns, found in the header or in the first line that is no comment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Delimiter {
     Blank,
+    /// Under a header that tabs separate, too.
+    Tab,
     Comma,
     Semicolon,
     BlankDecimalComma,
 }
 
 impl Delimiter {
+    /// The separator of a line. Tabs without a header are blanks.
     fn of(line: &str) -> Self {
         // Blanks keep numbers apart that have a comma each: "1,5 2,0 3,25".
         let decimal = |word: &&str| {
@@ -98,17 +101,25 @@ impl Delimiter {
         }
     }
 
-    /// Calls `take` with every column's text, blanks trimmed; a separator at the end adds none. Between commas and semicolons, blanks
-    /// separate columns too, unless columns are whole: then they may have blanks, and separators in quotes.
+    /// The columns of a line. A separator at the end adds none.
+    fn columns(self, line: &str, are_whole: bool) -> Vec<&str> {
+        let mut columns = Vec::new();
+        self.split(line, are_whole, &mut |column| columns.push(column));
+        columns.pop_if(|last| last.is_empty());
+        columns
+    }
+
+    /// Calls `take` with every column's text, blanks trimmed; a separator at the end adds an empty one. Between commas and semicolons,
+    /// blanks separate columns too, unless columns are whole: then they may have blanks, and separators in quotes.
     fn split<'l>(self, line: &'l str, are_whole: bool, take: &mut impl FnMut(&'l str)) {
         let separator = match self {
             Self::Blank | Self::BlankDecimalComma => {
                 return line.split_ascii_whitespace().for_each(take);
             }
+            Self::Tab => '\t',
             Self::Comma => ',',
             Self::Semicolon => ';',
         };
-        let line = line.strip_suffix(separator).unwrap_or(line);
         if are_whole && !line.contains('"') {
             return line.split(separator).for_each(|column| take(column.trim()));
         }
@@ -140,10 +151,8 @@ impl Delimiter {
         }
         match token.parse() {
             Ok(value) => Some(value),
-            Err(_) if matches!(self, Self::Semicolon | Self::BlankDecimalComma) => {
-                token.replacen(',', ".", 1).parse().ok()
-            }
-            Err(_) => None,
+            Err(_) if self == Self::Comma || self == Self::Blank => None,
+            Err(_) => token.replacen(',', ".", 1).parse().ok(),
         }
     }
 }
@@ -153,10 +162,12 @@ impl Delimiter {
 struct Table {
     positions: Vec<DVec3>,
     /// Kept columns, each as long as `positions`.
-    extras: Vec<Vec<f32>>,
+    extras: Vec<Vec<f64>>,
     /// Each kept column, when a header names them.
     named: Option<Vec<Kept>>,
-    /// Whether columns are whole between commas or semicolons, as in the header.
+    /// Whether tabs separate the names of the header.
+    has_tabs: bool,
+    /// Whether columns are whole between tabs, commas or semicolons, as in the header.
     are_whole: bool,
     /// For each column of the file where it goes: 0, 1, 2 for x, y, z, then `extras`.
     targets: Vec<Option<usize>>,
@@ -172,16 +183,17 @@ struct Table {
 impl Table {
     /// Bytes of a row that is kept.
     fn row_bytes(&self) -> u64 {
-        24 + 4 * self.extras.len() as u64
+        24 + 8 * self.extras.len() as u64
     }
 
     fn line(&mut self, line: &str, number: u64, name: &str) -> Result<(), AssetError> {
-        if line.is_empty() {
+        let text = line.trim();
+        if text.is_empty() {
             return Ok(());
         }
-        if let Some(comment) = line.strip_prefix("//").or_else(|| line.strip_prefix('#')) {
+        if let Some(comment) = text.strip_prefix("//").or_else(|| text.strip_prefix('#')) {
             if self.targets.is_empty() {
-                self.header(comment.trim_start_matches(['/', '#', ' ']));
+                self.header(comment.trim_start_matches(['/', '#', ' ', '\t']));
             }
             return Ok(());
         }
@@ -189,29 +201,30 @@ impl Table {
             if self.targets.is_empty() && self.header(line) {
                 return Ok(());
             }
-            if let Ok(count) = line.parse::<u64>() {
+            if let Ok(count) = text.parse::<u64>() {
                 self.announced = Some(self.announced.unwrap_or(0).saturating_add(count));
                 return Ok(());
             }
             self.start(line, number, name)?;
         }
-        self.data(line, number, name)
+        let row = if self.delimiter == Some(Delimiter::Tab) { line } else { text };
+        self.data(row, number, name)
     }
 
     /// Takes a line as the header if it names x, y and z.
     fn header(&mut self, line: &str) -> bool {
-        let delimiter = Delimiter::of(line);
-        let mut roles = Vec::new();
-        delimiter.split(line, true, &mut |name| roles.push(Kept::named(name)));
-        self.are_whole = layout::position(&roles).is_some();
-        if !self.are_whole {
-            // Blanks beside commas separate columns, too.
-            roles.clear();
-            delimiter.split(line, false, &mut |token| roles.push(Kept::named(token)));
-        }
-        let Some(position) = layout::position(&roles).filter(|_| roles.len() <= MAX_COLUMNS) else {
-            return false;
-        };
+        let (text, delimiter) = (line.trim(), Delimiter::of(line));
+        // Blanks beside commas separate columns, too, where no whole ones name a position.
+        let ways =
+            [(line, Delimiter::Tab, true), (text, delimiter, true), (text, delimiter, false)];
+        let found = ways.into_iter().find_map(|(line, delimiter, are_whole)| {
+            let columns = delimiter.columns(line, are_whole).into_iter();
+            let roles: Vec<Kept> = columns.map(Kept::named).collect();
+            let position = layout::position(&roles).filter(|_| roles.len() <= MAX_COLUMNS)?;
+            Some((delimiter == Delimiter::Tab, are_whole, roles, position))
+        });
+        let Some((has_tabs, are_whole, roles, position)) = found else { return false };
+        (self.has_tabs, self.are_whole) = (has_tabs, are_whole);
         let mut named: Vec<Kept> = Vec::new();
         self.targets = roles
             .iter()
@@ -233,11 +246,14 @@ impl Table {
 
     /// Fixes separator and number of columns at the first row.
     fn start(&mut self, line: &str, number: u64, name: &str) -> Result<(), AssetError> {
-        let delimiter = Delimiter::of(line);
+        let (mut by_tabs, columns) = (0_usize, self.targets.len());
+        Delimiter::Tab.split(line, true, &mut |_| by_tabs += 1);
+        // Other numbers of tabs align columns. One may end the row.
+        let has_tabs = self.has_tabs && (columns..=columns + 1).contains(&by_tabs);
+        let delimiter = if has_tabs { Delimiter::Tab } else { Delimiter::of(line) };
         self.delimiter = Some(delimiter);
         if self.targets.is_empty() {
-            let mut columns = 0;
-            delimiter.split(line, false, &mut |_| columns += 1);
+            let columns = delimiter.columns(line.trim(), false).len();
             if !(3..=MAX_COLUMNS).contains(&columns) {
                 return Err(malformed(
                     name,
@@ -254,7 +270,7 @@ impl Table {
 
     fn data(&mut self, line: &str, number: u64, name: &str) -> Result<(), AssetError> {
         let delimiter = self.delimiter.unwrap_or(Delimiter::Blank);
-        let (mut column, mut bad) = (0, None);
+        let (mut column, mut bad, mut is_last_empty) = (0, None, false);
         let (targets, row, named) = (&self.targets, &mut self.row, self.named.as_deref());
         let is_optional = |target: usize| {
             let kept = named.zip(target.checked_sub(3)).and_then(|(named, at)| named.get(at));
@@ -270,7 +286,10 @@ impl Table {
                 }
             }
             column += 1;
+            is_last_empty = token.is_empty();
         });
+        // A separator at the end of a row adds no column.
+        column -= usize::from(is_last_empty && column == targets.len() + 1);
         if let Some((column, token)) = bad {
             let place = format!("line {number}, column {}", column + 1);
             return Err(malformed(name, place, format!("{} is not a number", quote(token))));
@@ -293,7 +312,7 @@ impl Table {
         }
         self.positions.push(position);
         for (column, &value) in self.extras.iter_mut().zip(&self.row[3..]) {
-            column.push(value as f32);
+            column.push(value);
         }
         Ok(())
     }
@@ -318,7 +337,7 @@ impl Table {
             Some(named) => named,
             None => layout::by_content(&self.extras),
         };
-        let cloud = layout::cloud(self.positions, &self.extras, &roles, &mut warnings);
+        let cloud = layout::cloud(self.positions, self.extras, &roles, &mut warnings);
         let mut asset = Asset::single("xyz", name, Geometry::Points(cloud));
         asset.warnings = warnings;
         Ok(asset)

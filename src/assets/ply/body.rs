@@ -294,13 +294,13 @@ impl<R: BufRead> Scan<'_, R> {
                     if self.wanted.list == Some(property) {
                         row.list.clear();
                         let keep = |value: f64| row.list.push(value as i64);
-                        self.list(count, item, index, property, keep)?;
+                        self.list(count, item, index, property, 8, keep)?;
                     } else if self.wanted.numbers == Some(property) {
                         row.numbers.clear();
                         let keep = |value: f64| row.numbers.push(value as f32);
-                        self.list(count, item, index, property, keep)?;
+                        self.list(count, item, index, property, 4, keep)?;
                     } else {
-                        self.skip(count, item, index, property)?;
+                        self.list(count, item, index, property, 0, |_| {})?;
                     }
                 }
             }
@@ -322,13 +322,14 @@ impl<R: BufRead> Scan<'_, R> {
         Ok(())
     }
 
-    /// Gives each item of a list to `keep`, which keeps it in eight bytes at most.
+    /// Steps over a list, and gives each item to `keep`, which keeps it in that many bytes.
     fn list(
         &mut self,
         count: u64,
         item: Scalar,
         index: u64,
         property: usize,
+        bytes_kept: u64,
         mut keep: impl FnMut(f64),
     ) -> Result<(), AssetError> {
         let mut bytes = [0; 256];
@@ -338,28 +339,9 @@ impl<R: BufRead> Scan<'_, R> {
             let items = left.min(most as u64) as usize;
             let block = &mut bytes[..items * item.bytes()];
             self.take(block, index, property)?;
-            self.meter.reach(8 * (count - left))?;
+            self.meter.reach(bytes_kept * (count - left))?;
             let values = block.chunks_exact(item.bytes());
             values.map(|bytes| item.decode(bytes, self.big)).for_each(&mut keep);
-            left -= items as u64;
-        }
-        Ok(())
-    }
-
-    /// Steps over a list.
-    fn skip(
-        &mut self,
-        count: u64,
-        item: Scalar,
-        index: u64,
-        property: usize,
-    ) -> Result<(), AssetError> {
-        let mut bytes = [0; 256];
-        let most = bytes.len() / item.bytes();
-        let mut left = count;
-        while left > 0 {
-            let items = left.min(most as u64) as usize;
-            self.take(&mut bytes[..items * item.bytes()], index, property)?;
             left -= items as u64;
         }
         Ok(())

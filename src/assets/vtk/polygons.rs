@@ -5,7 +5,7 @@ use glam::{DVec3, Vec3};
 use super::super::input::Origin;
 use super::super::polygon::Triangulator;
 use super::super::warnings::counted;
-use super::super::{AssetError, Mesh, PointCloud, ReadOptions, fields, tidy};
+use super::super::{AssetError, Mesh, PointCloud, ReadOptions, corners, fields, tidy};
 use super::{Array, Column, Numbers, PolyData, Roles};
 
 impl PolyData {
@@ -23,6 +23,15 @@ impl PolyData {
         let points = &self.points;
         let place = |at: u32| points.get(at as usize).copied().unwrap_or(DVec3::NAN);
         let mut short = 0;
+        let of_cells = Roles::of(&self.cell_arrays);
+        if let Some(array) = of_cells.color {
+            origin.admission.grow(file, 4 * most + 8 * array.values.len() as u64)?;
+        }
+        let cell_colors = of_cells.color.map(|array| colors(array, "cell", &mut self.warnings));
+        // Vertices and lines come before polygons, and these before strips.
+        let before = (self.verts as usize).saturating_add(self.lines.len());
+        let mut cell_color = cell_colors.iter().flatten().skip(before).copied();
+        let mut painted = Vec::new();
         for polygon in self.polys.each() {
             match *polygon {
                 [] | [_] | [_, _] => short += 1,
@@ -30,6 +39,9 @@ impl PolyData {
                 _ => triangulator.cut(polygon, place, |cut| {
                     triangles.push(cut.map(|corner| polygon[corner as usize]));
                 }),
+            }
+            if let Some(color) = cell_color.next() {
+                painted.resize(triangles.len(), color);
             }
             let count = triangles.len() as u64;
             AssetError::check_limit(file, "triangles", count, options.max_triangles)?;
@@ -41,6 +53,9 @@ impl PolyData {
             });
             // A repeated corner is how strips turn; it covers nothing.
             triangles.extend(turned.filter(|[a, b, c]| a != b && b != c && c != a));
+            if let Some(color) = cell_color.next() {
+                painted.resize(triangles.len(), color);
+            }
             let count = triangles.len() as u64;
             AssetError::check_limit(file, "triangles", count, options.max_triangles)?;
         }
@@ -54,17 +69,18 @@ impl PolyData {
             "polygon crosses itself and is drawn as a fan",
             "polygons cross themselves and are drawn as fans",
         ));
-        let of_cells = Roles::of(&self.cell_arrays);
-        for (array, what) in [(of_cells.color, "colours"), (of_cells.normals, "normals")] {
-            let Some(array) = array else { continue };
+        if let Some(array) = of_cells.normals {
             self.warnings.push(format!(
-                "array \"{}\" of cells is not used for polygons: {what} of polygons are read from arrays of points",
+                "array \"{}\" of cells is not used for polygons: normals of polygons are read from arrays of points",
                 array.name
             ));
         }
         let (colors, normals) = self.appearance();
         let positions = self.points.clone();
-        let mesh = Mesh { positions, triangles, colors, normals, ..Mesh::default() };
+        let mut mesh = Mesh { positions, triangles, colors, normals, ..Mesh::default() };
+        if cell_colors.is_some() {
+            corners::paint(&mut mesh, &painted, file, options, &mut self.warnings)?;
+        }
         tidy::finish_mesh(mesh, file, &mut self.warnings)
     }
 
@@ -106,19 +122,21 @@ impl PolyData {
     /// Colours and normals of points.
     fn appearance(&mut self) -> (Option<Vec<[u8; 4]>>, Option<Vec<Vec3>>) {
         let roles = Roles::of(&self.point_arrays);
-        let count = self.points.len();
-        let colors = |array: &Array, warnings: &mut Vec<String>| {
-            let floats = (0..count).map(|point| array.color(point));
-            if array.is_byte {
-                floats.map(|color| color.map(|channel| channel as u8)).collect()
-            } else {
-                tidy::colors_from_floats(&floats.collect::<Vec<_>>(), "that of vertex", warnings)
-            }
-        };
-        let colors = roles.color.map(|array| colors(array, &mut self.warnings));
+        let colors = roles.color.map(|array| colors(array, "vertex", &mut self.warnings));
         let normals = roles.normals.map(|array| {
             array.values.as_chunks::<3>().0.iter().map(|normal| Vec3::from_array(*normal)).collect()
         });
         (colors, normals.and_then(|normals| tidy::unit_normals(normals, &mut self.warnings)))
+    }
+}
+
+/// The colours of an array, whose elements warnings call `element`.
+fn colors(array: &Array, element: &str, warnings: &mut Vec<String>) -> Vec<[u8; 4]> {
+    let floats = (0..array.values.len() / array.components).map(|at| array.color(at));
+    if array.is_byte {
+        floats.map(|color| color.map(|channel| channel as u8)).collect()
+    } else {
+        let first = format!("that of {element}");
+        tidy::colors_from_floats(&floats.collect::<Vec<_>>(), &first, warnings)
     }
 }

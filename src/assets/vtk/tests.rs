@@ -181,15 +181,43 @@ fn polygons_are_meshes_and_bare_points_a_cloud() {
     assert_eq!(cloud(&asset).values_of("t").unwrap(), T);
 }
 
-#[test]
-fn colours_and_normals_of_polygons_are_named_where_they_are_not_used() {
+/// A vertex, a line, two polygons with one of a single corner between them, and a strip, with these arrays.
+fn painted(arrays: &[(&str, &[f64])]) -> Asset {
     let mut file = Legacy::new("3.0", false);
     file.put("POINTS 4 float", "float", &POINTS);
-    file.put("POLYGONS 1 4", "int", &[3.0, 0.0, 1.0, 2.0]);
-    file.put("CELL_DATA 1\nCOLOR_SCALARS paint 3", "float", &[1.0, 0.0, 0.0]);
-    file.put("NORMALS up float", "float", &[0.0, 0.0, 1.0]);
-    let asset = legacy(file.bytes).unwrap();
-    for name in ["\"paint\" of cells", "\"up\" of cells"] {
+    file.put("VERTICES 1 2", "int", &[1.0, 0.0]);
+    file.put("LINES 1 3", "int", &[2.0, 0.0, 1.0]);
+    file.put("POLYGONS 3 11", "int", &[3.0, 0.0, 1.0, 2.0, 1.0, 0.0, 4.0, 0.0, 1.0, 2.0, 3.0]);
+    file.put("TRIANGLE_STRIPS 1 5", "int", &[4.0, 0.0, 1.0, 2.0, 3.0]);
+    arrays.iter().for_each(|(line, numbers)| file.put(line, "float", numbers));
+    legacy(file.bytes).unwrap()
+}
+
+#[test]
+fn polygons_and_strips_have_the_colors_of_their_cells() {
+    let cells =
+        [0.2, 0.2, 0.2, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.4, 0.4, 0.4, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0];
+    let asset = painted(&[("CELL_DATA 6\nCOLOR_SCALARS paint 3", &cells)]);
+    let found = mesh(&asset);
+    let colors = found.colors.as_ref().unwrap();
+    let of = |triangle: &[u32; 3]| triangle.map(|corner| colors[corner as usize]);
+    let (red, blue, yellow) = ([255, 0, 0, 255], [0, 0, 255, 255], [255, 255, 0, 255]);
+    let expected = [red, blue, blue, yellow, yellow].map(|color| [color; 3]);
+    assert_eq!(found.triangles.iter().map(of).collect::<Vec<_>>(), expected);
+    assert_eq!(lines(&asset).colors.as_ref().unwrap()[..], [[0, 255, 0, 255]; 2]);
+    assert!(!asset.warnings.iter().any(|text| text.contains("paint")), "{:?}", asset.warnings);
+}
+
+#[test]
+fn colors_and_normals_of_cells_that_are_not_used_are_named() {
+    let points = [0.0, 1.0, 0.0].repeat(4);
+    let asset = painted(&[
+        ("CELL_DATA 6\nCOLOR_SCALARS paint 3", &[0.5; 18]),
+        ("NORMALS up float", &[1.0; 18]),
+        ("POINT_DATA 4\nCOLOR_SCALARS own 3", &points),
+    ]);
+    assert_eq!(mesh(&asset).colors, Some(vec![[0, 255, 0, 255]; 4]));
+    for name in ["colours of faces are ignored", "\"up\" of cells"] {
         assert!(asset.warnings.iter().any(|text| text.contains(name)), "{:?}", asset.warnings);
     }
 }

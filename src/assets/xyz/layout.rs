@@ -93,7 +93,7 @@ pub(super) fn position(columns: &[Kept]) -> Option<[usize; 3]> {
 }
 
 /// The meaning of the columns after x, y, z, from their content.
-pub(super) fn by_content(columns: &[Vec<f32>]) -> Vec<Kept> {
+pub(super) fn by_content(columns: &[Vec<f64>]) -> Vec<Kept> {
     const NORMAL: [Role; 3] = [Role::NormalX, Role::NormalY, Role::NormalZ];
     const COLOR: [Role; 3] = [Role::Red, Role::Green, Role::Blue];
     let total = columns.len();
@@ -143,17 +143,17 @@ enum Triple {
 }
 
 impl Triple {
-    fn of(columns: Option<&[Vec<f32>]>) -> Self {
+    fn of(columns: Option<&[Vec<f64>]>) -> Self {
         let Some([a, b, c]) = columns else { return Self::None };
         if is_unit(a, b, c) {
             return Self::Unit;
         }
-        let all = |test: &dyn Fn(&Vec<f32>) -> bool| test(a) && test(b) && test(c);
+        let all = |test: &dyn Fn(&Vec<f64>) -> bool| test(a) && test(b) && test(c);
         if all(&|column| is_whole(column, 255.0)) {
             Self::Bytes
         } else if all(&|column| is_whole(column, 65535.0)) {
             Self::Words
-        } else if all(&|column| column.iter().all(|value| (0.0..=1.0).contains(value))) {
+        } else if all(&|column| singles(column).all(|value| (0.0..=1.0).contains(&value))) {
             Self::Fractions
         } else {
             Self::Other
@@ -165,14 +165,19 @@ impl Triple {
     }
 }
 
-fn is_whole(column: &[f32], max: f32) -> bool {
-    column.iter().all(|&value| (0.0..=max).contains(&value) && value.fract() == 0.0)
+/// The numbers of a column in the precision of colours, normals and radii.
+fn singles(column: &[f64]) -> impl Iterator<Item = f32> {
+    column.iter().map(|&value| value as f32)
+}
+
+fn is_whole(column: &[f64], max: f32) -> bool {
+    singles(column).all(|value| (0.0..=max).contains(&value) && value.fract() == 0.0)
 }
 
 /// Whether nearly all rows have length 1, apart from zero vectors, which mean "unknown".
-fn is_unit(a: &[f32], b: &[f32], c: &[f32]) -> bool {
+fn is_unit(a: &[f64], b: &[f64], c: &[f64]) -> bool {
     let (mut unit, mut other) = (0u64, 0u64);
-    for ((a, b), c) in a.iter().zip(b).zip(c) {
+    for ((a, b), c) in singles(a).zip(singles(b)).zip(singles(c)) {
         let squared = a * a + b * b + c * c;
         if (squared - 1.0).abs() < 0.05 {
             unit += 1;
@@ -186,7 +191,7 @@ fn is_unit(a: &[f32], b: &[f32], c: &[f32]) -> bool {
 /// The point cloud of kept columns with known roles.
 pub(super) fn cloud(
     positions: Vec<DVec3>,
-    columns: &[Vec<f32>],
+    columns: Vec<Vec<f64>>,
     kept: &[Kept],
     warnings: &mut Vec<String>,
 ) -> PointCloud {
@@ -196,27 +201,27 @@ pub(super) fn cloud(
         columns.get(found).filter(|column| column.len() == count)
     };
     let triple = |a, b, c| Some([column(a)?, column(b)?, column(c)?]);
-    let row = |[a, b, c]: [&Vec<f32>; 3], point: usize| [a[point], b[point], c[point]];
+    let row = |columns: [&Vec<f64>; 3], point: usize| columns.map(|column| column[point] as f32);
 
     let rgb = triple(Role::Red, Role::Green, Role::Blue);
     let normal = triple(Role::NormalX, Role::NormalY, Role::NormalZ);
     let mut rgba = rgb.and_then(|rgb| colors(count, |point| row(rgb, point)));
     if let (Some(rgba), Some(alpha)) = (&mut rgba, column(Role::Alpha)) {
-        let alpha = bytes(count, |point| [alpha[point]; 3]);
+        let alpha = bytes(count, |point| [alpha[point] as f32; 3]);
         rgba.iter_mut().zip(alpha).for_each(|(color, [value, ..])| color[3] = value);
     }
-    let radius =
-        column(Role::Radius).filter(|radii| radii.iter().all(|&r| r > 0.0 && r.is_finite()));
+    let radii = column(Role::Radius).map(|radii| singles(radii).collect::<Vec<f32>>());
+    let radii = radii.filter(|radii| radii.iter().all(|&r| r > 0.0 && r.is_finite()));
+    let normals = normal
+        .map(|normal| (0..count).map(|point| unit_or_zero(row(normal, point))).collect::<Vec<_>>());
     let fields = kept.iter().zip(columns).filter(|(kept, _)| kept.role == Role::Field);
-    let fields =
-        fields.map(|(kept, column)| Column::of(&kept.name, Numbers::Singles(column.clone())));
+    let fields = fields.map(|(kept, column)| Column::of(&kept.name, Numbers::Doubles(column)));
     PointCloud {
         positions,
         colors: rgba,
-        normals: normal
-            .map(|normal| (0..count).map(|point| unit_or_zero(row(normal, point))).collect()),
+        normals,
         fields: fields::encoded(fields.collect(), warnings),
-        radii: radius.cloned(),
+        radii,
         oriented: false,
         kernels: None,
         clips: None,

@@ -115,13 +115,18 @@ fn text_in_a_column_may_have_blanks() {
         "x,y,z,Zone,height above ground\n0,0,1,\"pine; old\",2\n0,0,2,5\",7\n",
         "x,y,z,Zone,height above ground\n0,0,1, \"a \"\"b\"\", c\",2\n0,0,2,\"\",7\n",
         "x;y;z;Zone;height above ground;\n0;0;1;pine; 2\n0;0;2,0;two small trees;7;\n",
+        "x\ty\tz\tZone\theight above ground\n0\t0\t1\tpine, old\t2\n0\t0\t2,0\t\t7\n",
+        "\tx\ty\tz\theight above ground\tZone\nold pine\t0\t0\t1\t2\tA 1\n\t0\t0\t2\t7\t\n",
+        "//x\ty\tz\tZone\theight above ground\n0\t0\t1\t\"a\tb\"\t2\t\n0\t0\t2\ta b\t7\n",
     ] {
         let cloud = cloud_of(text);
         assert_eq!(cloud.positions, [DVec3::Z, DVec3::Z * 2.0], "{text}");
         assert_eq!(cloud.values_of("height above ground"), Some(vec![2.0, 7.0]), "{text}");
     }
-    // Without a header, blanks separate.
-    assert_eq!(cloud_of("1, 2 3\n").positions, [DVec3::new(1.0, 2.0, 3.0)]);
+    // Without a header, blanks separate. Tabs may align columns.
+    for text in ["1, 2 3\n", "\t1\t\t2 3\t\n", "x\ty\tz\n1\t\t\t2\t3\n", "x\ty\tz\n1 2 3\n"] {
+        assert_eq!(cloud_of(text).positions, [DVec3::new(1.0, 2.0, 3.0)], "{text}");
+    }
 }
 
 #[test]
@@ -135,6 +140,28 @@ fn other_columns_are_fields() {
     let cloud = cloud_of("0 0 0 5 9.5\n0 0 1 6 7.25\n");
     assert_eq!(cloud.values_of("intensity"), Some(vec![5.0, 6.0]));
     assert_eq!(cloud.values_of("column_5"), Some(vec![9.5, 7.25]));
+}
+
+#[test]
+fn the_last_column_may_be_empty() {
+    for text in ["x,y,z,Zone\n0,0,1,\n0,0,2,7\n", "x;y;z;Zone;\n0;0;1;;\n0;0;2;7\n"] {
+        let cloud = cloud_of(text);
+        assert_eq!(cloud.positions, [DVec3::Z, DVec3::Z * 2.0], "{text}");
+        let zones = cloud.values_of("Zone").unwrap();
+        assert!(zones[0].is_nan() && zones[1] == 7.0, "{zones:?}");
+    }
+    assert_eq!(cloud_of("1,2,3,\n4,5,6\n").positions.len(), 2);
+    let error = read_text("1,2,3\n4,5,6,,\n").unwrap_err().to_string();
+    assert!(error.contains("line 2: has 5 columns"), "{error}");
+}
+
+#[test]
+fn fields_keep_the_digits_of_large_numbers() {
+    let text = "x,y,z,gps_time\n0,0,0,300000000.25\n0,0,1,300000001.5\n0,0,2,300000002.75\n";
+    let times = cloud_of(text).values_of("gps_time").unwrap();
+    for (found, time) in times.into_iter().zip([300000000.25, 300000001.5, 300000002.75]) {
+        assert!((found - time).abs() < 1e-4, "{found}");
+    }
 }
 
 #[test]
