@@ -45,6 +45,7 @@ use std::ops::Range;
 use std::path::PathBuf;
 
 use glam::{DAffine3, DVec3, Vec2, Vec3};
+use serde::{Deserialize, Serialize};
 
 pub use self::blocks::{PointBlocks, Survey};
 #[cfg(any(test, fuzzing))]
@@ -75,7 +76,7 @@ pub struct Asset {
 }
 
 /// A geometry's place in its file.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Placement {
     pub name: String,
     /// Index into [`Asset::geometries`].
