@@ -15,6 +15,8 @@ pub mod e57;
 mod environment;
 mod fault;
 pub mod fields;
+#[cfg(test)]
+mod first;
 pub mod gltf;
 pub mod hair;
 pub mod input;
