@@ -15,6 +15,8 @@ pub mod e57;
 mod environment;
 mod fault;
 pub mod fields;
+#[cfg(test)]
+mod first;
 pub mod gltf;
 pub mod hair;
 pub mod input;
@@ -45,6 +47,7 @@ use std::ops::Range;
 use std::path::PathBuf;
 
 use glam::{DAffine3, DVec3, Vec2, Vec3};
+use serde::{Deserialize, Serialize};
 
 pub use self::blocks::{PointBlocks, Survey};
 #[cfg(any(test, fuzzing))]
@@ -75,7 +78,7 @@ pub struct Asset {
 }
 
 /// A geometry's place in its file.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Placement {
     pub name: String,
     /// Index into [`Asset::geometries`].

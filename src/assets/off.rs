@@ -349,17 +349,11 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::assets::first::mesh;
 
     fn read(text: &str) -> Result<Asset, AssetError> {
         let input = Input::from_bytes(text.as_bytes().to_vec(), "a.off");
         read_from(input, &ReadOptions::default())
-    }
-
-    fn mesh(asset: &Asset) -> &Mesh {
-        match &asset.geometries[0] {
-            Geometry::Mesh(mesh) => mesh,
-            _ => panic!("points"),
-        }
     }
 
     const PLAIN: &str =

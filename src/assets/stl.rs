@@ -293,16 +293,10 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::assets::first::mesh;
 
     fn read(bytes: impl Into<Vec<u8>>) -> Result<Asset, AssetError> {
         read_from(Input::from_bytes(bytes.into(), "a.stl"), &ReadOptions::default())
-    }
-
-    fn mesh(asset: &Asset) -> &Mesh {
-        match &asset.geometries[0] {
-            Geometry::Mesh(mesh) => mesh,
-            _ => panic!("points"),
-        }
     }
 
     fn binary_file(title: &str, triangles: &[[[f32; 3]; 3]]) -> Vec<u8> {

@@ -133,7 +133,7 @@ pub(crate) fn line_end(begin: &[u8]) -> u8 {
     if has_returns && !begin.contains(&b'\n') { b'\r' } else { b'\n' }
 }
 
-fn is_blank(byte: u8) -> bool {
+pub(crate) fn is_blank(byte: u8) -> bool {
     matches!(byte, b' ' | b'\t' | b'\r' | b'\n' | 0x0b | 0x0c)
 }
 

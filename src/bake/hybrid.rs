@@ -19,6 +19,7 @@ use std::f32::consts::PI;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
+use super::groups::Groups;
 use super::kernels::{CUTOFF, circle};
 use super::pack::ALWAYS;
 use super::rasterise::replaced::Replaced;
@@ -58,7 +59,7 @@ pub fn is_watertight(mesh: &Mesh) -> bool {
     places.par_sort_unstable();
     places.dedup();
     let number = |v: u32| places.binary_search(of_vertex.get(v as usize)?).ok();
-    let mut whole = Parts::new(places.len());
+    let mut whole = Groups::new(places.len());
     let mut edges = Vec::with_capacity(3 * mesh.triangles.len());
     let mut triangles = Vec::with_capacity(mesh.triangles.len());
     for &[a, b, c] in &mesh.triangles {
@@ -70,7 +71,7 @@ pub fn is_watertight(mesh: &Mesh) -> bool {
         }
         for (from, to) in [(na, nb), (nb, nc), (nc, na)] {
             edges.push(if from < to { (from, to, 1) } else { (to, from, -1) });
-            whole.join(from, to);
+            whole.join(from as u32, to as u32);
         }
         triangles.push((na, [a, b, c]));
     }
@@ -82,35 +83,11 @@ pub fn is_watertight(mesh: &Mesh) -> bool {
     for (place, corners) in triangles {
         let [a, b, c] = corners.map(|v| mesh.positions[v as usize]);
         // A closed surface's volume does not depend on the origin; a near origin is more exact.
-        let (origin, volume) = volumes[whole.of(place)].get_or_insert((a, 0.0));
+        let (origin, volume) = volumes[whole.root(place as u32) as usize].get_or_insert((a, 0.0));
         *volume += (a - *origin).dot((b - *origin).cross(c - *origin));
     }
     let mut volumes = volumes.into_iter().flatten().peekable();
     balanced && volumes.peek().is_some() && volumes.all(|(_, volume)| volume > 0.0)
-}
-
-/// Connected components.
-struct Parts {
-    above: Vec<usize>,
-}
-
-impl Parts {
-    fn new(count: usize) -> Parts {
-        Parts { above: (0..count).collect() }
-    }
-
-    fn of(&mut self, mut member: usize) -> usize {
-        while self.above[member] != member {
-            self.above[member] = self.above[self.above[member]];
-            member = self.above[member];
-        }
-        member
-    }
-
-    fn join(&mut self, a: usize, b: usize) {
-        let (a, b) = (self.of(a), self.of(b));
-        self.above[a.max(b)] = a.min(b);
-    }
 }
 
 /// The corners of a triangle, if it can be drawn.

@@ -10,6 +10,7 @@ mod leaves;
 use glam::{DVec3, Vec3};
 
 use super::crease::{WordMap, weld};
+use super::groups::Groups;
 use super::sample::color::Colors;
 use crate::assets::tidy::drop_vertices;
 use crate::assets::{Material, Mesh, Polylines, Texture};
@@ -211,34 +212,6 @@ impl<'a> Pieces<'a> {
     /// The positions of a triangle's corners.
     fn positions(&self, triangle: u32) -> [DVec3; 3] {
         self.mesh.triangles[triangle as usize].map(|vertex| self.mesh.positions[vertex as usize])
-    }
-}
-
-/// Numbers in groups (a disjoint-set forest). The smallest number of a group is its root, so that groups keep the order of the file.
-struct Groups(Vec<u32>);
-
-impl Groups {
-    fn new(count: usize) -> Self {
-        Groups((0..count as u32).collect())
-    }
-
-    fn root(&mut self, mut number: u32) -> u32 {
-        while self.0[number as usize] != number {
-            let parent = self.0[number as usize];
-            self.0[number as usize] = self.0[parent as usize];
-            number = parent;
-        }
-        number
-    }
-
-    fn join(&mut self, one: u32, other: u32) {
-        let (one, other) = (self.root(one), self.root(other));
-        self.0[one.max(other) as usize] = one.min(other);
-    }
-
-    /// The root of each number's group.
-    fn roots(mut self) -> Vec<u32> {
-        (0..self.0.len() as u32).map(|number| self.root(number)).collect()
     }
 }
 

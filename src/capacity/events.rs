@@ -1,53 +1,19 @@
 //! Events of a simulation, in order of their times.
 
-use std::cmp::Ordering;
-use std::collections::BinaryHeap;
+use std::collections::BTreeMap;
 
 /// Future events. Events of the same time come in the order in which they were added, so that a simulation is the same on every machine.
 #[derive(Debug)]
 pub struct Events<E> {
-    heap: BinaryHeap<Entry<E>>,
+    /// Events by time and number.
+    queue: BTreeMap<(u64, u64), E>,
     added: u64,
     now_ns: u64,
 }
 
-#[derive(Debug)]
-struct Entry<E> {
-    at_ns: u64,
-    number: u64,
-    event: E,
-}
-
-impl<E> Entry<E> {
-    /// The largest entry of the heap is the next event.
-    fn order(&self) -> (std::cmp::Reverse<u64>, std::cmp::Reverse<u64>) {
-        (std::cmp::Reverse(self.at_ns), std::cmp::Reverse(self.number))
-    }
-}
-
-impl<E> PartialEq for Entry<E> {
-    fn eq(&self, other: &Self) -> bool {
-        self.order() == other.order()
-    }
-}
-
-impl<E> Eq for Entry<E> {}
-
-impl<E> PartialOrd for Entry<E> {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl<E> Ord for Entry<E> {
-    fn cmp(&self, other: &Self) -> Ordering {
-        self.order().cmp(&other.order())
-    }
-}
-
 impl<E> Default for Events<E> {
     fn default() -> Self {
-        Self { heap: BinaryHeap::new(), added: 0, now_ns: 0 }
+        Self { queue: BTreeMap::new(), added: 0, now_ns: 0 }
     }
 }
 
@@ -60,17 +26,17 @@ impl<E> Events<E> {
     /// Adds an event. A time in the past means now.
     pub fn add(&mut self, at_ns: u64, event: E) {
         self.added += 1;
-        self.heap.push(Entry { at_ns: at_ns.max(self.now_ns), number: self.added, event });
+        self.queue.insert((at_ns.max(self.now_ns), self.added), event);
     }
 
     /// Returns the time of the next event.
     pub fn next_ns(&self) -> Option<u64> {
-        self.heap.peek().map(|entry| entry.at_ns)
+        self.queue.first_key_value().map(|(&(at_ns, _), _)| at_ns)
     }
 
     /// Moves the clock to the next event, and returns it.
     pub fn pop(&mut self) -> Option<E> {
-        let Entry { at_ns, event, .. } = self.heap.pop()?;
+        let ((at_ns, _), event) = self.queue.pop_first()?;
         self.now_ns = at_ns;
         Some(event)
     }

@@ -44,7 +44,7 @@ pub struct Cli {
 #[derive(Subcommand)]
 enum Command {
     /// Run the server
-    Serve(Box<serve::ServeArgs>),
+    Serve(Box<serve::Given>),
     /// Draw frames of jobs for servers that share a NATS server
     Worker(Box<worker::WorkerArgs>),
     /// Draw one frame of a scene or of a single asset file, without a server

@@ -2,7 +2,7 @@
 //!
 //! A setting may come from a flag, from the environment (`POINTILLIST_` and the flag's name in capitals), or from the TOML file
 //! given with `--config` (the flag's name without leading dashes). The first of these that has the setting wins; otherwise it has
-//! its default. [`ServeArgs`] is all three: clap reads flags and environment into it, serde the file.
+//! its default. [`ServeArgs`] is all three: serde reads the file into it, clap writes flags and environment over that.
 
 use std::io::IsTerminal;
 use std::net::{SocketAddr, TcpListener, ToSocketAddrs};
@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, bail, ensure};
-use clap::{Args, ValueEnum};
+use clap::{ArgMatches, Args, Command, FromArgMatches, ValueEnum};
 use serde::Deserialize;
 
 use self::claim::claim;
@@ -237,6 +237,39 @@ pub struct ServeArgs {
     pub force_32_bit: Option<bool>,
 }
 
+/// Flags and environment, before they are written over a file's settings.
+#[derive(Clone, Debug)]
+pub struct Given(ArgMatches);
+
+impl Args for Given {
+    fn augment_args(command: Command) -> Command {
+        ServeArgs::augment_args(command)
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        ServeArgs::augment_args_for_update(command)
+    }
+}
+
+impl FromArgMatches for Given {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Given, clap::Error> {
+        Ok(Given(matches.clone()))
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        self.0.clone_from(matches);
+        Ok(())
+    }
+}
+
+impl Given {
+    /// The settings of a file, with those that are given in their place.
+    fn over(&self, mut file: ServeArgs) -> anyhow::Result<ServeArgs> {
+        file.update_from_arg_matches(&self.0)?;
+        Ok(file)
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LogFormat {
@@ -248,10 +281,9 @@ pub enum LogFormat {
 ///
 /// # Errors
 /// A setting cannot be used, the address is in use, there is no GPU adapter, or none of the scenes given with `--scene` loads.
-pub fn run(args: ServeArgs) -> anyhow::Result<()> {
+pub fn run(given: Given) -> anyhow::Result<()> {
     memory::set_up_allocator();
-    let given = args;
-    let args = with_file(given.clone())?;
+    let args = with_file(&given)?;
     init_log(args.log_format.unwrap_or(LogFormat::Text));
     let root = root(&args)?;
     let passed = passed_socket()?;
@@ -265,7 +297,7 @@ pub fn run(args: ServeArgs) -> anyhow::Result<()> {
     let is_tls = args.tls_cert.is_some();
     let has_keys = matches!(access, Access::Keys(_));
     let settings = settings(&args, root.clone(), access)?;
-    let settings = Settings { reread: reread(&given, &args, address), ..settings };
+    let settings = Settings { reread: reread(given, &args, address), ..settings };
     let start = start_scenes(&args, &root)?;
     let jobs_config = jobs_config(&args)?;
     let farm = farm_store(&args)?;
@@ -343,12 +375,13 @@ pub(super) fn init_log(format: LogFormat) {
     }
 }
 
-/// Completes `args` with the settings of the file that it names.
-fn with_file(args: ServeArgs) -> anyhow::Result<ServeArgs> {
-    let Some(path) = args.config.clone() else { return Ok(args) };
-    let text = read_file(&path)?;
+/// Returns what is given, completed with the settings of the file that it names.
+fn with_file(given: &Given) -> anyhow::Result<ServeArgs> {
+    let args = given.over(ServeArgs::default())?;
+    let Some(path) = &args.config else { return Ok(args) };
+    let text = read_file(path)?;
     let file = parse_file(&text).with_context(|| path.display().to_string())?;
-    Ok(args.or(file))
+    given.over(file)
 }
 
 fn read_file(path: &Path) -> anyhow::Result<String> {
@@ -370,89 +403,12 @@ pub(crate) fn parse_file(text: &str) -> anyhow::Result<ServeArgs> {
 
 /// Names of the settings that a file may have, which are the names of the flags.
 fn setting_names() -> Vec<String> {
-    ServeArgs::augment_args(clap::Command::new("serve"))
+    ServeArgs::augment_args(Command::new("serve"))
         .get_arguments()
         .filter_map(|argument| argument.get_long())
         .filter(|name| *name != "config")
         .map(str::to_owned)
         .collect()
-}
-
-impl ServeArgs {
-    /// Takes missing settings from `lower`.
-    fn or(self, lower: ServeArgs) -> ServeArgs {
-        fn list<T>(upper: Vec<T>, lower: Vec<T>) -> Vec<T> {
-            if upper.is_empty() { lower } else { upper }
-        }
-        ServeArgs {
-            files: list(self.files, lower.files),
-            config: self.config.or(lower.config),
-            listen: self.listen.or(lower.listen),
-            root: self.root.or(lower.root),
-            scene: list(self.scene, lower.scene),
-            up: self.up.or(lower.up),
-            gpu_budget_mib: self.gpu_budget_mib.or(lower.gpu_budget_mib),
-            host_memory_mib: self.host_memory_mib.or(lower.host_memory_mib),
-            cache: self.cache.or(lower.cache),
-            no_cache: self.no_cache.or(lower.no_cache),
-            cache_max_mib: self.cache_max_mib.or(lower.cache_max_mib),
-            bake_memory_mib: self.bake_memory_mib.or(lower.bake_memory_mib),
-            queue: self.queue.or(lower.queue),
-            queue_seconds: self.queue_seconds.or(lower.queue_seconds),
-            job_share: self.job_share.or(lower.job_share),
-            max_batch: self.max_batch.or(lower.max_batch),
-            encoder_threads: self.encoder_threads.or(lower.encoder_threads),
-            max_pixels: self.max_pixels.or(lower.max_pixels),
-            max_side: self.max_side.or(lower.max_side),
-            no_uploads: self.no_uploads.or(lower.no_uploads),
-            follow_uploads: self.follow_uploads.or(lower.follow_uploads),
-            max_upload_mib: self.max_upload_mib.or(lower.max_upload_mib),
-            max_uploads: self.max_uploads.or(lower.max_uploads),
-            max_uploads_per_key: self.max_uploads_per_key.or(lower.max_uploads_per_key),
-            upload_disk_mib: self.upload_disk_mib.or(lower.upload_disk_mib),
-            upload_disk_mib_per_key: self.upload_disk_mib_per_key.or(lower.upload_disk_mib_per_key),
-            max_connections: self.max_connections.or(lower.max_connections),
-            frame_timeout_seconds: self.frame_timeout_seconds.or(lower.frame_timeout_seconds),
-            read_timeout_seconds: self.read_timeout_seconds.or(lower.read_timeout_seconds),
-            max_streams: self.max_streams.or(lower.max_streams),
-            max_streams_per_client: self.max_streams_per_client.or(lower.max_streams_per_client),
-            stream_idle_seconds: self.stream_idle_seconds.or(lower.stream_idle_seconds),
-            api_keys: self.api_keys.or(lower.api_keys),
-            insecure: self.insecure.or(lower.insecure),
-            cors_origin: list(self.cors_origin, lower.cors_origin),
-            trusted_proxies: list(self.trusted_proxies, lower.trusted_proxies),
-            requests_per_second_per_address: self
-                .requests_per_second_per_address
-                .or(lower.requests_per_second_per_address),
-            max_connections_per_address: self
-                .max_connections_per_address
-                .or(lower.max_connections_per_address),
-            tls_cert: self.tls_cert.or(lower.tls_cert),
-            tls_key: self.tls_key.or(lower.tls_key),
-            metrics_listen: self.metrics_listen.or(lower.metrics_listen),
-            access_log: self.access_log.or(lower.access_log),
-            audit_log: self.audit_log.or(lower.audit_log),
-            otlp: self.otlp.or(lower.otlp),
-            state: self.state.or(lower.state),
-            no_jobs: self.no_jobs.or(lower.no_jobs),
-            job_queue: self.job_queue.or(lower.job_queue),
-            job_runners: self.job_runners.or(lower.job_runners),
-            job_disk_mib: self.job_disk_mib.or(lower.job_disk_mib),
-            max_watchers: self.max_watchers.or(lower.max_watchers),
-            max_watchers_per_client: self.max_watchers_per_client.or(lower.max_watchers_per_client),
-            watch_seconds: self.watch_seconds.or(lower.watch_seconds),
-            job_ttl_seconds: self.job_ttl_seconds.or(lower.job_ttl_seconds),
-            nats: self.nats.or(lower.nats),
-            nats_credentials: self.nats_credentials.or(lower.nats_credentials),
-            nats_ca: self.nats_ca.or(lower.nats_ca),
-            store: self.store.or(lower.store),
-            drain_delay: self.drain_delay.or(lower.drain_delay),
-            drain_seconds: self.drain_seconds.or(lower.drain_seconds),
-            log_format: self.log_format.or(lower.log_format),
-            no_prime: self.no_prime.or(lower.no_prime),
-            force_32_bit: self.force_32_bit.or(lower.force_32_bit),
-        }
-    }
 }
 
 fn listen_address(flag: &str, text: &str) -> anyhow::Result<SocketAddr> {

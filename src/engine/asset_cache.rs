@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::sync::{Arc, Weak};
 
 use parking_lot::Mutex;
+use serde::{Deserialize, Serialize};
 
 use super::EngineError;
 use super::asset_keys::AssetKey;
@@ -14,22 +15,24 @@ use crate::residency::model::AssetModel;
 
 struct CachedAsset {
     model: Weak<AssetModel>,
-    placements: Arc<Vec<Placement>>,
-    cameras: Vec<(String, Camera)>,
-    sensor: Option<Sensor>,
-    shape: Option<Shape>,
-    warnings: Vec<String>,
+    extras: Extras,
 }
 
-/// An asset after reading, shared between scenes.
-pub struct ReadAsset {
-    pub model: Arc<AssetModel>,
+/// The contents of an asset's file other than its model.
+#[derive(Clone, Serialize, Deserialize)]
+pub struct Extras {
     pub placements: Arc<Vec<Placement>>,
     pub cameras: Vec<(String, Camera)>,
     pub sensor: Option<Sensor>,
     /// Measured only for bare assets.
     pub shape: Option<Shape>,
     pub warnings: Vec<String>,
+}
+
+/// An asset after reading, shared between scenes.
+pub struct ReadAsset {
+    pub model: Arc<AssetModel>,
+    pub extras: Extras,
     pub digest: [u8; 32],
 }
 
@@ -51,33 +54,16 @@ impl AssetCache {
             && let Some(found) = self.assets.lock().get(&digest)
             && let Some(model) = found.model.upgrade()
             // A scene file does not measure the shapes of its assets.
-            && (found.shape.is_some() || !is_bare)
+            && (found.extras.shape.is_some() || !is_bare)
         {
-            return Ok(ReadAsset {
-                model,
-                placements: found.placements.clone(),
-                cameras: found.cameras.clone(),
-                sensor: found.sensor,
-                shape: found.shape,
-                warnings: found.warnings.clone(),
-                digest,
-            });
+            return Ok(ReadAsset { model, extras: found.extras.clone(), digest });
         }
         let read = read()?;
         if alone {
             let mut cached = self.assets.lock();
             cached.retain(|_, asset| asset.model.strong_count() > 0);
-            cached.insert(
-                digest,
-                CachedAsset {
-                    model: Arc::downgrade(&read.model),
-                    placements: read.placements.clone(),
-                    cameras: read.cameras.clone(),
-                    sensor: read.sensor,
-                    shape: read.shape,
-                    warnings: read.warnings.clone(),
-                },
-            );
+            let model = Arc::downgrade(&read.model);
+            cached.insert(digest, CachedAsset { model, extras: read.extras.clone() });
         }
         Ok(read)
     }

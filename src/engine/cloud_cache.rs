@@ -16,19 +16,17 @@ use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, SystemTime};
 
-use glam::{DAffine3, DVec3};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use super::EngineConfig;
-use super::asset_cache::ReadAsset;
+use super::asset_cache::{Extras, ReadAsset};
 use super::asset_keys::file_kind;
 use super::uid::next_uid;
-use crate::assets::{FORMATS, Placement};
+use crate::assets::FORMATS;
 use crate::bake::cache::BakeCache;
 use crate::bake::pack::{Counts, GeometryKind, PackedAsset, PackedGeometry};
-use crate::bake::upright::{End, Shape};
-use crate::math::{Bounds, Camera, Lens, Sensor, SensorView};
+use crate::math::Bounds;
 use crate::memory::{Admission, Interrupt, Reservation};
 use crate::residency::model::{AssetModel, Deferred};
 use crate::residency::once::MadeOnce;
@@ -40,8 +38,8 @@ const PROBE_BYTES: u64 = 4096;
 /// Bytes of a packed sample, including its share of a chunk.
 const SAMPLE_BYTES: u64 = 24;
 
-/// A file's content other than its samples. Floats are stored as bit patterns, because JSON does not preserve all of them.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// A file's content other than its samples. Notes are stored as TOML, which keeps every float, infinite ones too.
+#[derive(Serialize, Deserialize)]
 pub struct Note {
     pub digest: [u8; 32],
     format: String,
@@ -51,136 +49,8 @@ pub struct Note {
     normals_estimated: bool,
     lacks_normals: bool,
     samples: u64,
-    bounds: Vec<[u64; 6]>,
-    placements: Vec<(String, usize, [u64; 12])>,
-    cameras: Vec<(String, [u64; 10])>,
-    sensor: Option<KeptSensor>,
-    shape: Option<KeptShape>,
-    warnings: Vec<String>,
-}
-
-/// A [`Sensor`] with its floats as bits.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-enum KeptSensor {
-    /// Camera and aspect.
-    View([u64; 10], u64),
-    Place([u64; 3]),
-}
-
-impl KeptSensor {
-    fn of(sensor: &Sensor) -> KeptSensor {
-        match sensor {
-            Sensor::View(view) => {
-                KeptSensor::View(camera_bits(&view.camera), view.aspect.to_bits())
-            }
-            Sensor::Place(place) => KeptSensor::Place(bits(place.to_array())),
-        }
-    }
-
-    fn sensor(&self) -> Sensor {
-        match self {
-            KeptSensor::View(bits, aspect) => {
-                Sensor::View(SensorView { camera: camera(bits), aspect: f64::from_bits(*aspect) })
-            }
-            KeptSensor::Place(bits) => Sensor::Place(vec3(bits)),
-        }
-    }
-}
-
-/// A [`Shape`] with its floats as bits.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct KeptShape {
-    extent: [u64; 3],
-    symmetry: [u64; 3],
-    ends: [[[u64; 8]; 2]; 3],
-    is_cloud: bool,
-    lightness: u64,
-}
-
-impl KeptShape {
-    fn of(shape: &Shape) -> KeptShape {
-        let Shape { extent, symmetry, ends, is_cloud, lightness } = *shape;
-        let end = |end: End| {
-            let End {
-                footprint,
-                balance,
-                contact,
-                flat,
-                flat_footprint,
-                centroid_height,
-                opening,
-                tilt,
-            } = end;
-            bits([
-                footprint,
-                balance,
-                contact,
-                flat,
-                flat_footprint,
-                centroid_height,
-                opening,
-                tilt,
-            ])
-        };
-        KeptShape {
-            extent: bits(extent),
-            symmetry: bits(symmetry),
-            ends: ends.map(|both| both.map(end)),
-            is_cloud,
-            lightness: lightness.to_bits(),
-        }
-    }
-
-    fn shape(&self) -> Shape {
-        let end = |bits: [u64; 8]| {
-            let [footprint, balance, contact, flat, flat_footprint, centroid_height, opening, tilt] =
-                bits.map(f64::from_bits);
-            End {
-                footprint,
-                balance,
-                contact,
-                flat,
-                flat_footprint,
-                centroid_height,
-                opening,
-                tilt,
-            }
-        };
-        Shape {
-            extent: self.extent.map(f64::from_bits),
-            symmetry: self.symmetry.map(f64::from_bits),
-            ends: self.ends.map(|both| both.map(end)),
-            is_cloud: self.is_cloud,
-            lightness: f64::from_bits(self.lightness),
-        }
-    }
-}
-
-/// The bits of a camera's numbers: eye, target, up, and the field of view of a perspective or the negative height of an orthographic view.
-fn camera_bits(c: &Camera) -> [u64; 10] {
-    let (eye, target, up) = (c.eye, c.target, c.up);
-    let lens = match c.lens {
-        Lens::Perspective { fov_deg } => fov_deg,
-        Lens::Orthographic { height } => -height,
-    };
-    bits([eye.x, eye.y, eye.z, target.x, target.y, target.z, up.x, up.y, up.z, lens])
-}
-
-fn camera(bits: &[u64; 10]) -> Camera {
-    let [eye, target, up] = [&bits[..3], &bits[3..6], &bits[6..9]].map(vec3);
-    let lens = match f64::from_bits(bits[9]) {
-        height if height < 0.0 => Lens::Orthographic { height: -height },
-        fov_deg => Lens::Perspective { fov_deg },
-    };
-    Camera { eye, target, up, lens }
-}
-
-fn bits<const N: usize>(numbers: [f64; N]) -> [u64; N] {
-    numbers.map(f64::to_bits)
-}
-
-fn vec3(bits: &[u64]) -> DVec3 {
-    DVec3::from_slice(&bits.iter().map(|&bits| f64::from_bits(bits)).collect::<Vec<f64>>())
+    bounds: Vec<Bounds>,
+    extras: Extras,
 }
 
 /// The cache and a file's identity in it, for files whose samples may be kept.
@@ -232,7 +102,7 @@ impl CloudEntry {
     }
 
     pub fn note(&self, config: &EngineConfig) -> Option<Note> {
-        let note: Note = serde_json::from_slice(&self.cache.load_note(&self.identity)?).ok()?;
+        let note: Note = toml::from_slice(&self.cache.load_note(&self.identity)?).ok()?;
         // Limits may be lower now; the reader then reports the error.
         (note.samples <= config.read.max_vertices).then_some(note)
     }
@@ -266,12 +136,11 @@ impl CloudEntry {
         let fits = geometries.iter().all(|geometry| geometry.kind() == GeometryKind::Samples)
             && counts.samples == note.samples
             && note.bounds.len() == geometries.len()
-            && note.placements.iter().all(|&(_, geometry, _)| geometry < geometries.len());
+            && note.extras.placements.iter().all(|placed| placed.geometry < geometries.len());
         if !fits {
             tracing::warn!(asset = name, "what was kept of a cloud does not fit its note");
             return None;
         }
-        let bounds = note.bounds.iter().map(|b| Bounds { min: vec3(&b[..3]), max: vec3(&b[3..]) });
         let deferred = Deferred { lacks_normals: note.lacks_normals, whole: MadeOnce::default() };
         let model = AssetModel {
             memory: Reservation::default(),
@@ -279,7 +148,7 @@ impl CloudEntry {
             name: name.to_owned(),
             format,
             packed: PackedAsset { geometries, ..PackedAsset::default() },
-            bounds: bounds.collect(),
+            bounds: note.bounds.clone(),
             has_colors: note.has_colors,
             shows_intensity: note.shows_intensity,
             has_normals: note.has_normals,
@@ -289,21 +158,8 @@ impl CloudEntry {
             outlined: OnceLock::new(),
             deferred: (!is_whole).then_some(deferred),
         };
-        let placement = |(name, geometry, affine): &(String, usize, [u64; 12])| Placement {
-            name: name.clone(),
-            geometry: *geometry,
-            asset_from_geometry: DAffine3::from_cols_array(&affine.map(f64::from_bits)),
-        };
         tracing::info!(asset = name, samples = note.samples, is_whole, "a large cloud was kept");
-        Some(ReadAsset {
-            model: Arc::new(model),
-            placements: Arc::new(note.placements.iter().map(placement).collect()),
-            cameras: note.cameras.iter().map(|(name, bits)| (name.clone(), camera(bits))).collect(),
-            sensor: note.sensor.as_ref().map(KeptSensor::sensor),
-            shape: note.shape.as_ref().map(KeptShape::shape),
-            warnings: note.warnings.clone(),
-            digest: note.digest,
-        })
+        Some(ReadAsset { model: Arc::new(model), extras: note.extras.clone(), digest: note.digest })
     }
 
     /// Prepares to keep an asset that was just read, if it is a large cloud and the file is unchanged.
@@ -322,27 +178,8 @@ impl CloudEntry {
             normals_estimated: model.normals_estimated,
             lacks_normals: deferred.lacks_normals,
             samples: model.counts().samples,
-            bounds: model
-                .bounds
-                .iter()
-                .map(|b| bits([b.min.x, b.min.y, b.min.z, b.max.x, b.max.y, b.max.z]))
-                .collect(),
-            placements: read
-                .placements
-                .iter()
-                .map(|p| {
-                    let affine = bits(p.asset_from_geometry.to_cols_array());
-                    (p.name.clone(), p.geometry, affine)
-                })
-                .collect(),
-            cameras: read
-                .cameras
-                .iter()
-                .map(|(name, camera)| (name.clone(), camera_bits(camera)))
-                .collect(),
-            sensor: read.sensor.as_ref().map(KeptSensor::of),
-            shape: read.shape.as_ref().map(KeptShape::of),
-            warnings: read.warnings.clone(),
+            bounds: model.bounds.clone(),
+            extras: read.extras.clone(),
         };
         let is_plain = model.packed.materials.is_empty()
             && model.packed.textures.is_empty()
@@ -374,8 +211,8 @@ impl UnwrittenCloud {
             false => cache.store(&points, &self.model.packed.geometries),
         };
         let written = stored.and_then(|stored| {
-            let text = serde_json::to_vec(&self.note).map_err(io::Error::other)?;
-            if stored { cache.store_note(&self.entry.identity, &text) } else { Ok(()) }
+            let text = toml::to_string(&self.note).map_err(io::Error::other)?;
+            if stored { cache.store_note(&self.entry.identity, text.as_bytes()) } else { Ok(()) }
         });
         if let Err(error) = written {
             let folder = cache.folder().display();
@@ -446,13 +283,71 @@ impl CloudEntry {
 
 #[cfg(test)]
 mod tests {
+    use glam::{DAffine3, DVec3};
+
     use super::*;
+    use crate::assets::Placement;
+    use crate::bake::upright::{End, Shape};
+    use crate::math::{Camera, Lens, Sensor, SensorView};
 
     #[test]
-    fn kept_cameras_have_their_projection() {
-        for lens in [Lens::Perspective { fov_deg: 40.0 }, Lens::Orthographic { height: 12.5 }] {
-            let own = Camera { eye: DVec3::ONE, target: DVec3::ZERO, up: DVec3::Y, lens };
-            assert_eq!(camera(&camera_bits(&own)), own);
+    fn a_stored_note_keeps_every_number() {
+        let third = 1.0 / 3.0;
+        let of = |lens| Camera {
+            eye: DVec3::splat(1e300 * third),
+            target: DVec3::new(-0.0, 5e-324, 4_567_890.123_456_79),
+            up: DVec3::Y,
+            lens,
+        };
+        let [near, far] =
+            [Lens::Perspective { fov_deg: 40.0 * third }, Lens::Orthographic { height: 12.5 }]
+                .map(of);
+        let end = End { balance: -third, tilt: f64::INFINITY, ..End::default() };
+        let shape = Shape { ends: [[end; 2]; 3], is_cloud: true, ..Shape::default() };
+        let affine = DAffine3::from_scale(DVec3::splat(third));
+        for sensor in [
+            None,
+            Some(Sensor::Place(DVec3::splat(-third))),
+            Some(Sensor::View(SensorView { camera: near, aspect: third })),
+        ] {
+            let placed = Placement {
+                name: "a \"b\"\n".to_owned(),
+                geometry: 1,
+                asset_from_geometry: affine,
+            };
+            let note = Note {
+                digest: [255; 32],
+                format: "ply".to_owned(),
+                has_colors: true,
+                shows_intensity: false,
+                has_normals: false,
+                normals_estimated: true,
+                lacks_normals: true,
+                samples: 1 << 40,
+                bounds: vec![Bounds { min: DVec3::splat(-third), max: DVec3::ONE }, Bounds::EMPTY],
+                extras: Extras {
+                    placements: Arc::new(vec![placed]),
+                    cameras: vec![("near".to_owned(), near), ("far".to_owned(), far)],
+                    sensor,
+                    shape: Some(shape),
+                    warnings: vec!["a warning".to_owned()],
+                },
+            };
+            let text = toml::to_string(&note).unwrap();
+            let read: Note = toml::from_slice(text.as_bytes()).unwrap();
+            assert_eq!(
+                (read.digest, read.samples, &read.bounds),
+                (note.digest, note.samples, &note.bounds)
+            );
+            let (kept, own) = (&read.extras, &note.extras);
+            assert_eq!(
+                (&kept.cameras, kept.sensor, kept.shape),
+                (&own.cameras, own.sensor, own.shape)
+            );
+            assert_eq!(kept.warnings, own.warnings);
+            let placed = &kept.placements[0];
+            assert_eq!((&placed.name, placed.geometry), (&own.placements[0].name, 1));
+            assert_eq!(placed.asset_from_geometry, affine);
         }
     }
 }

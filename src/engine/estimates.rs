@@ -108,20 +108,7 @@ impl Loaded {
         };
         let assets: Option<Vec<_>> = self.model.assets.iter().map(whole).collect();
         let Some(assets) = assets.filter(|_| !self.is_whole()) else { return Ok(None) };
-        let parts = Parts {
-            id: self.model.id.clone(),
-            revision: self.model.revision,
-            description: self.description.clone(),
-            assets,
-            placements: self.placements.clone(),
-            environment: self.model.environment.clone(),
-            warnings: self.info.warnings.clone(),
-            digest: self.digest,
-            origin: self.origin,
-            keys: self.keys.clone(),
-            path: self.path.clone(),
-            files: self.files.clone(),
-        };
+        let parts = Parts { assets, ..self.parts() };
         let whole = build(parts, config, None, &Admission::new(&config.memory))?;
         Ok(Some(Loaded { order: self.order, ..whole }))
     }

@@ -5,7 +5,7 @@ use std::sync::{Arc, OnceLock};
 
 use sha2::{Digest, Sha256};
 
-use super::asset_cache::{AssetCache, ReadAsset};
+use super::asset_cache::{AssetCache, Extras, ReadAsset};
 use super::asset_keys::{AssetKey, AssetKeys, digest_file, digest_packed};
 use super::cloud_cache::CloudEntry;
 use super::error::{asset_error, scene_error};
@@ -96,18 +96,19 @@ pub fn load(
             admission.shrink_to(described);
         }
         hasher.update(asset.digest);
-        warnings.extend(asset.warnings.iter().map(|text| (reference.name.clone(), text.clone())));
+        let extras = asset.extras;
+        warnings.extend(extras.warnings.into_iter().map(|text| (reference.name.clone(), text)));
         if description.cameras.is_empty() {
-            description.cameras.extend(asset.cameras.iter().cloned());
+            description.cameras.extend(extras.cameras);
         }
-        shape = shape.or(asset.shape);
-        outlook.sensor = outlook.sensor.or(asset.sensor);
-        for placement in asset.placements.iter() {
+        shape = shape.or(extras.shape);
+        outlook.sensor = outlook.sensor.or(extras.sensor);
+        for placement in extras.placements.iter() {
             let own = asset.model.bounds[placement.geometry];
             outlook.bounds = outlook.bounds.union(own.transformed(&placement.asset_from_geometry));
         }
         assets.push(asset.model);
-        placements.push(asset.placements);
+        placements.push(extras.placements);
     }
     if !is_scene {
         let traits: Vec<AssetTraits> = assets.iter().map(|asset| asset.traits()).collect();
@@ -355,11 +356,13 @@ fn pack_asset(
     model.memory = admission.keep(model.gpu_bytes());
     Ok(ReadAsset {
         model: Arc::new(model),
-        placements: Arc::new(asset.placements),
-        cameras: asset.cameras,
-        sensor: asset.sensor,
-        shape,
-        warnings: asset.warnings,
+        extras: Extras {
+            placements: Arc::new(asset.placements),
+            cameras: asset.cameras,
+            sensor: asset.sensor,
+            shape,
+            warnings: asset.warnings,
+        },
         digest,
     })
 }

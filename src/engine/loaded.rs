@@ -160,30 +160,17 @@ pub fn build(
     let listed = parts.description.instance_count().saturating_mul(INSTANCE_BYTES);
     admission.grow("a list of instances", listed)?;
     let instances = unfold(&parts, &nodes, known, config.scene.max_instances)?;
-    let Parts {
-        id,
-        revision,
-        description,
-        assets,
-        placements,
-        environment,
-        warnings,
-        digest,
-        origin,
-        keys,
-        path,
-        files,
-    } = parts;
+    let description = parts.description;
     let model = SceneModel {
         uid: next_uid(),
-        id,
+        id: parts.id,
         name: description.name.clone(),
-        revision,
-        assets,
+        revision: parts.revision,
+        assets: parts.assets,
         instances,
         materials: description.materials.clone(),
-        lights: lights(&description, environment.as_deref()),
-        environment,
+        lights: lights(&description, parts.environment.as_deref()),
+        environment: parts.environment,
         background: description.background,
         fog: description.fog,
         occlusion: description.occlusion,
@@ -194,7 +181,7 @@ pub fn build(
         totals: OnceLock::new(),
     };
     let extent = model.extent();
-    let info = describe(&model, &description, &extent.bounds, warnings);
+    let info = describe(&model, &description, &extent.bounds, parts.warnings);
     Ok(Loaded {
         facts: facts(&model, &extent.bounds),
         model: Arc::new(model),
@@ -203,17 +190,17 @@ pub fn build(
         order: before.map_or_else(next_uid, |(loaded, _)| loaded.order),
         info,
         patches: Default::default(),
-        digest,
-        origin,
+        digest: parts.digest,
+        origin: parts.origin,
         description,
         nodes,
         _memory: admission.keep(admission.held()),
         trees: MadeOnce::default(),
         trees_before: Mutex::new(before.and_then(|(loaded, _)| loaded.latest_trees())),
-        placements,
-        keys,
-        path,
-        files,
+        placements: parts.placements,
+        keys: parts.keys,
+        path: parts.path,
+        files: parts.files,
         unwritten: Vec::new(),
     })
 }
@@ -334,35 +321,40 @@ impl Loaded {
         patch: &NodePatch,
         config: &EngineConfig,
     ) -> Result<Loaded, EngineError> {
-        let mut description = self.description.clone();
-        let index = node_index(&description, node).ok_or_else(|| EngineError::UnknownNode {
-            scene: self.model.id.clone(),
-            node: node.to_owned(),
+        let index = node_index(&self.description, node).ok_or_else(|| {
+            EngineError::UnknownNode { scene: self.model.id.clone(), node: node.to_owned() }
         })?;
+        let mut parts = self.parts();
+        let changed = &mut parts.description.nodes[index];
         if let Some(transform) = patch.world_from_node {
-            description.nodes[index].parent_from_node = transform;
+            changed.parent_from_node = transform;
         }
         if let Some(visible) = patch.visible {
-            description.nodes[index].visible = visible;
+            changed.visible = visible;
         }
-        let mut hasher = Sha256::new();
-        hasher.update(self.digest);
-        hasher.update(format!("{node}{patch:?}"));
-        let parts = Parts {
+        let hasher = Sha256::new_with_prefix(self.digest);
+        parts.digest = hasher.chain_update(format!("{node}{patch:?}")).finalize().into();
+        parts.revision += 1;
+        parts.files = None;
+        build(parts, config, Some((self, index)), &Admission::new(&config.memory))
+    }
+
+    /// Returns the parts that it was built from.
+    pub(super) fn parts(&self) -> Parts {
+        Parts {
             id: self.model.id.clone(),
-            revision: self.model.revision + 1,
-            description,
+            revision: self.model.revision,
+            description: self.description.clone(),
             assets: self.model.assets.clone(),
             placements: self.placements.clone(),
             environment: self.model.environment.clone(),
             warnings: self.info.warnings.clone(),
-            digest: hasher.finalize().into(),
+            digest: self.digest,
             origin: self.origin,
             keys: self.keys.clone(),
             path: self.path.clone(),
-            files: None,
-        };
-        build(parts, config, Some((self, index)), &Admission::new(&config.memory))
+            files: self.files.clone(),
+        }
     }
 
     /// Returns the load's number, which all revisions of a scene share and no later scene of the same id has.

@@ -153,10 +153,10 @@ pub fn tree(height: f64, triangles: u64, seed: u64) -> GeneratedMesh {
     for i in 0..leaves {
         let twig: DVec3 = twigs[(i % twigs.len() as u64) as usize];
         let scatter = height * if wood.levels == 2 { 0.085 } else { 0.06 };
-        let middle = twig + random_vector(&mut random) * scatter;
-        let across = random_vector(&mut random);
+        let middle = twig + random.bells() * scatter;
+        let across = random.bells();
         let across = across / across.length().max(1e-9);
-        let normal = across.cross(random_vector(&mut random));
+        let normal = across.cross(random.bells());
         let normal = normal / normal.length().max(1e-9);
         let size = leaf_size * random.range(0.75, 1.3);
         let (along, across) = (normal.cross(across) * size * 1.5, across * size);
@@ -168,10 +168,6 @@ pub fn tree(height: f64, triangles: u64, seed: u64) -> GeneratedMesh {
         faces.smooth_polygon(&corners, &[soft; 4], color);
     }
     faces.finish(None)
-}
-
-fn random_vector(random: &mut SplitMix64) -> DVec3 {
-    DVec3::new(random.bell(), random.bell(), random.bell())
 }
 
 /// Trunk and branches, and the places of leaves.

@@ -100,10 +100,6 @@ struct Leaf {
     color: [u8; 4],
 }
 
-fn scattered(random: &mut SplitMix64) -> DVec3 {
-    DVec3::new(random.bell(), random.bell(), random.bell())
-}
-
 /// Two unit vectors that are perpendicular to a direction and to each other.
 fn frame_of(way: DVec3) -> [DVec3; 2] {
     let helper = if way.x.abs() < 0.6 { DVec3::X } else { DVec3::Y };
@@ -124,7 +120,7 @@ impl Stem {
         let mut stem = Stem { order, path: vec![from], radii: vec![radii[0]] };
         let (mut at, mut way) = (from, unit(way));
         for step in 1..=steps {
-            way = unit(way + scattered(random) * wobble + DVec3::Y * rise);
+            way = unit(way + random.bells() * wobble + DVec3::Y * rise);
             at += way * (length / steps as f64);
             let share = step as f64 / steps as f64;
             stem.path.push(at);
@@ -229,7 +225,7 @@ fn add_leaves(
         let (s, c) = sin_cos(GOLDEN_ANGLE * place + random.range(-0.5, 0.5));
         let way = unit(way * 0.6 + u * c + v * s + DVec3::NEG_Y * 0.15);
         // Leaves face the sky outside of the crown.
-        let sky = unit(foot - crown) * 0.8 + DVec3::Y * 0.6 + scattered(&mut random) * 0.35;
+        let sky = unit(foot - crown) * 0.8 + DVec3::Y * 0.6 + random.bells() * 0.35;
         let side = unit(sky.cross(way));
         let first = way.cross(side);
         let bent = unit(way - first * 0.4);

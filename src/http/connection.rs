@@ -21,10 +21,11 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, Sleep};
+use tokio_rustls::server::TlsStream;
+use tokio_util::either::Either;
 
 use super::answers::{Answers, PART, Patience, STALLED, Watched};
 use super::problem::{Kind, Problem};
-use super::socket::Socket;
 use super::{App, address, refusal, service};
 
 /// Length of an HTTP/2 preface, which is also nearly that of the shortest HTTP/1 request.
@@ -33,6 +34,9 @@ const PREFACE_BYTES: u64 = 24;
 /// never see the answer.
 const LINGER: Duration = Duration::from_secs(1);
 const LINGER_BYTES: usize = 1 << 20;
+
+/// A connection's bytes, with or without TLS.
+type Socket = Either<TcpStream, Box<TlsStream<TcpStream>>>;
 
 /// Accepts connections up to the limit.
 #[derive(Clone)]
@@ -85,12 +89,12 @@ impl<S: Send + 'static> Accept<TcpStream, S> for Doorkeeper {
             };
             stream.set_nodelay(true)?;
             let socket = match tls {
-                None => Socket::Plain(stream),
+                None => Either::Left(stream),
                 Some(tls) => {
                     let handshake = tokio_rustls::TlsAcceptor::from(tls).accept(stream);
                     let stream =
                         tokio::time::timeout(read_timeout.min(HANDSHAKE), handshake).await??;
-                    Socket::Tls(Box::new(stream))
+                    Either::Right(Box::new(stream))
                 }
             };
             let answers = Answers::default();

@@ -59,7 +59,6 @@ pub mod rules;
 mod scenes;
 pub mod server;
 mod service;
-mod socket;
 mod stream;
 pub mod telemetry;
 pub mod tls;

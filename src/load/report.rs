@@ -9,7 +9,7 @@ use super::following::StreamPoint;
 use super::knee::Verdict;
 use super::poses::PathKind;
 use super::run::RunSettings;
-use super::tally::Point;
+use super::tally::{Percentiles, Point};
 use super::thresholds::Thresholds;
 
 /// A point of the curve with its verdict.
@@ -96,10 +96,10 @@ pub fn three_digits(value: f64) -> String {
     }
 }
 
-/// A percentile of the latency of poses: `lost` where it falls among poses that no frame followed.
-fn pose_ms(point: &StreamPoint, ns: Option<u64>) -> String {
+/// A percentile of latencies: `lost` where it falls among requests without an answer, or among poses that no frame followed.
+fn latency_ms(latency: &Percentiles, ns: Option<u64>) -> String {
     match ns {
-        None if point.latency.endless > 0 => "lost".to_owned(),
+        None if latency.endless > 0 => "lost".to_owned(),
         ns => ms(ns),
     }
 }
@@ -130,10 +130,10 @@ fn stream_cells(rate_per_s: f64, point: &StreamPoint) -> [String; STREAM_HEADER.
         point.streams.to_string(),
         three_digits(point.poses_per_s),
         three_digits(point.frames_per_s),
-        pose_ms(point, p.p50_ns),
-        pose_ms(point, p.p90_ns),
-        pose_ms(point, p.p99_ns),
-        pose_ms(point, p.max_ns),
+        latency_ms(p, p.p50_ns),
+        latency_ms(p, p.p90_ns),
+        latency_ms(p, p.p99_ns),
+        latency_ms(p, p.max_ns),
         point.overtaken.to_string(),
         point.lost.to_string(),
         point.scale_mean.map_or("–".to_owned(), three_digits),
@@ -142,14 +142,6 @@ fn stream_cells(rate_per_s: f64, point: &StreamPoint) -> [String; STREAM_HEADER.
         ms(point.queue_p50_ns),
         three_digits(point.bytes_per_s / 1e6),
     ]
-}
-
-/// A percentile of the latency of requests: `lost` where it falls among requests without an answer.
-fn latency_ms(point: &Point, ns: Option<u64>) -> String {
-    match ns {
-        None if point.latency.endless > 0 => "lost".to_owned(),
-        ns => ms(ns),
-    }
 }
 
 const HEADER: [&str; 19] = [
@@ -177,10 +169,10 @@ const HEADER: [&str; 19] = [
 impl JudgedPoint {
     fn cells(&self) -> [String; HEADER.len()] {
         let point = &self.point;
-        let latency = |ns| latency_ms(point, ns);
         let mean =
             |value: Option<f64>| value.map_or("–".to_owned(), |value| format!("{value:.1}"));
         let p = &point.latency;
+        let latency = |ns| latency_ms(p, ns);
         [
             three_digits(point.rate_per_s),
             three_digits(point.offered_per_s),
@@ -213,8 +205,8 @@ impl JudgedPoint {
             three_digits(point.rate_per_s),
             three_digits(point.offered_per_s),
             three_digits(point.throughput_per_s),
-            latency_ms(point, point.latency.p50_ns),
-            latency_ms(point, point.latency.p99_ns)
+            latency_ms(&point.latency, point.latency.p50_ns),
+            latency_ms(&point.latency, point.latency.p99_ns)
         );
         for (count, what) in
             [(counts.refused, "refused"), (counts.lost(), "lost"), (counts.failed, "failed")]
@@ -229,8 +221,8 @@ impl JudgedPoint {
                 "; {} streams: {} frames/s, pose to frame p50 {}, p99 {} (ms)",
                 streams.streams,
                 three_digits(streams.frames_per_s),
-                pose_ms(streams, streams.latency.p50_ns),
-                pose_ms(streams, streams.latency.p99_ns)
+                latency_ms(&streams.latency, streams.latency.p50_ns),
+                latency_ms(&streams.latency, streams.latency.p99_ns)
             );
         }
         line

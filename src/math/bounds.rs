@@ -2,9 +2,10 @@
 
 use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// An axis-aligned box, possibly empty (`min > max`).
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Bounds {
     pub min: DVec3,
     pub max: DVec3,

@@ -4,11 +4,12 @@
 //! the top left, x to the right and y down. Pixel `(i, j)` covers `[i, i+1) × [j, j+1)`, with its centre at `(i + ½, j + ½)`.
 
 use glam::{DAffine3, DMat3, DMat4, DVec2, DVec3, DVec4};
+use serde::{Deserialize, Serialize};
 
 use crate::words::words;
 
 /// A pose: the eye, the point that it looks at, and how much it sees.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Camera {
     pub eye: DVec3,
     pub target: DVec3,
@@ -17,7 +18,7 @@ pub struct Camera {
 }
 
 /// A camera's projection, with the size of what it shows.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Lens {
     /// Rays meet in the eye.
     Perspective {
@@ -43,7 +44,7 @@ words! {
 }
 
 /// The view of a sensor that took an asset's points.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SensorView {
     /// The sensor's pose, with its vertical field of view.
     pub camera: Camera,
@@ -52,7 +53,7 @@ pub struct SensorView {
 }
 
 /// The sensor that took a file's points, as far as the file describes it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Sensor {
     /// A camera, which took an image in one direction.
     View(SensorView),

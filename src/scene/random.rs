@@ -5,6 +5,8 @@
 //! because a scene must look the same whatever versions it was built with. Only integer operations
 //! and exact conversions are involved, so that the sequence is the same on every machine.
 
+use glam::DVec3;
+
 /// A stream of pseudo-random numbers, fully determined by its seed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SplitMix64 {
@@ -60,6 +62,11 @@ impl SplitMix64 {
     pub fn bell(&mut self) -> f64 {
         const SQRT_3: f64 = 1.732_050_807_568_877_2;
         (self.unit() + self.unit() + self.unit() + self.unit() - 2.0) * SQRT_3
+    }
+
+    /// A vector of three [`SplitMix64::bell`]s.
+    pub fn bells(&mut self) -> DVec3 {
+        DVec3::new(self.bell(), self.bell(), self.bell())
     }
 }
 

@@ -4,17 +4,11 @@ use glam::Vec2;
 use proptest::prelude::*;
 
 use super::*;
-use crate::assets::{Mesh, MeshPart, texture};
+use crate::assets::first::mesh;
+use crate::assets::{MeshPart, texture};
 
 fn read(text: &str) -> Result<Asset, AssetError> {
     read_from(Input::from_bytes(text.as_bytes().to_vec(), "a.obj"), &ReadOptions::default())
-}
-
-fn mesh(asset: &Asset) -> &Mesh {
-    match &asset.geometries[0] {
-        Geometry::Mesh(mesh) => mesh,
-        _ => panic!("points"),
-    }
 }
 
 const SQUARE: &str = "# made by hand\no thing\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n\

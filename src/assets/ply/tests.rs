@@ -2,24 +2,10 @@ use glam::{DVec3, Vec2, Vec3};
 use proptest::prelude::*;
 
 use super::*;
-use crate::assets::PointCloud;
+use crate::assets::first::{cloud, mesh};
 
 fn read(bytes: impl Into<Vec<u8>>) -> Result<Asset, AssetError> {
     read_from(Input::from_bytes(bytes.into(), "a.ply"), &ReadOptions::default())
-}
-
-fn cloud(asset: &Asset) -> &PointCloud {
-    match &asset.geometries[0] {
-        Geometry::Points(cloud) => cloud,
-        _ => panic!("a mesh"),
-    }
-}
-
-fn mesh(asset: &Asset) -> &Mesh {
-    match &asset.geometries[0] {
-        Geometry::Mesh(mesh) => mesh,
-        _ => panic!("points"),
-    }
 }
 
 const SQUARE: &str = "ply\r\nformat ascii 1.0\r\ncomment hand made\r\nelement vertex 4\r\n\

@@ -1,17 +1,10 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::assets::{Geometry, Polylines};
+use crate::assets::first::lines;
 
 fn read(text: &str) -> Result<Asset, AssetError> {
     read_from(Input::from_bytes(text.as_bytes().to_vec(), "a.swc"), &ReadOptions::default())
-}
-
-fn lines(asset: &Asset) -> &Polylines {
-    match &asset.geometries[0] {
-        Geometry::Lines(lines) => lines,
-        _ => panic!("no lines"),
-    }
 }
 
 /// The x coordinates and the radii of each strand.

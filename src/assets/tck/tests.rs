@@ -1,17 +1,10 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::assets::{Geometry, Polylines};
+use crate::assets::first::lines;
 
 fn read(bytes: Vec<u8>) -> Result<Asset, AssetError> {
     read_from(Input::from_bytes(bytes, "a.tck"), &ReadOptions::default())
-}
-
-fn lines(asset: &Asset) -> &Polylines {
-    match &asset.geometries[0] {
-        Geometry::Lines(lines) => lines,
-        _ => panic!("no lines"),
-    }
 }
 
 const STREAMLINES: [&[[f64; 3]]; 2] = [

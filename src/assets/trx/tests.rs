@@ -6,7 +6,7 @@ use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
 
 use super::*;
-use crate::assets::{Geometry, Polylines};
+use crate::assets::first::lines;
 use crate::memory::{Admission, HostMemory, Interrupt};
 
 fn read_with(bytes: Vec<u8>, options: &ReadOptions) -> Result<Asset, AssetError> {
@@ -15,13 +15,6 @@ fn read_with(bytes: Vec<u8>, options: &ReadOptions) -> Result<Asset, AssetError>
 
 fn read(bytes: Vec<u8>) -> Result<Asset, AssetError> {
     read_with(bytes, &ReadOptions::default())
-}
-
-fn lines(asset: &Asset) -> &Polylines {
-    match &asset.geometries[0] {
-        Geometry::Lines(lines) => lines,
-        _ => panic!("no lines"),
-    }
 }
 
 const STREAMLINES: [&[[f64; 3]]; 2] = [

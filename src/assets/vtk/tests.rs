@@ -5,8 +5,9 @@ use glam::DVec3;
 use proptest::prelude::*;
 
 use super::*;
+use crate::assets::Polylines;
+use crate::assets::first::{cloud, lines, mesh};
 use crate::assets::input::Input;
-use crate::assets::{Mesh, PointCloud, Polylines};
 
 fn legacy(bytes: impl Into<Vec<u8>>) -> Result<Asset, AssetError> {
     read_legacy(Input::from_bytes(bytes.into(), "a.vtk"), &ReadOptions::default())
@@ -14,27 +15,6 @@ fn legacy(bytes: impl Into<Vec<u8>>) -> Result<Asset, AssetError> {
 
 fn xml(bytes: impl Into<Vec<u8>>) -> Result<Asset, AssetError> {
     read_xml(Input::from_bytes(bytes.into(), "a.vtp"), &ReadOptions::default())
-}
-
-fn lines(asset: &Asset) -> &Polylines {
-    let found = asset.geometries.iter().find_map(|geometry| match geometry {
-        Geometry::Lines(lines) => Some(lines),
-        _ => None,
-    });
-    found.unwrap()
-}
-
-fn mesh(asset: &Asset) -> &Mesh {
-    let found = asset.geometries.iter().find_map(|geometry| match geometry {
-        Geometry::Mesh(mesh) => Some(mesh),
-        _ => None,
-    });
-    found.unwrap()
-}
-
-fn cloud(asset: &Asset) -> &PointCloud {
-    let Geometry::Points(cloud) = &asset.geometries[0] else { panic!("no points") };
-    cloud
 }
 
 fn values(lines: &Polylines, name: &str) -> Vec<f64> {

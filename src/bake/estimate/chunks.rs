@@ -5,6 +5,7 @@ use std::ops::Range;
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::super::extent::Extent;
 use super::super::kernels::{Bounds as KernelBounds, CUTOFF, Fit, circle, fit};
 use super::super::neighbors::{Near, Nearby, Neighbors, PointTree, settled};
 use super::super::normals::{Frame, NORMAL_NEIGHBORS, is_radius};
@@ -33,35 +34,6 @@ pub(super) struct Wanted {
 struct Fitted {
     normal: Vec3,
     fit: Fit,
-}
-
-/// A box in the coordinates of the frame.
-#[derive(Clone, Copy)]
-struct Extent([[f32; 3]; 2]);
-
-impl Extent {
-    const EMPTY: Extent = Extent([[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]]);
-
-    fn with(self, Extent([low, high]): Extent) -> Extent {
-        let [min, max] = self.0;
-        Extent([
-            std::array::from_fn(|axis| min[axis].min(low[axis])),
-            std::array::from_fn(|axis| max[axis].max(high[axis])),
-        ])
-    }
-
-    fn is_place(&self) -> bool {
-        self.0[0] == self.0[1]
-    }
-
-    /// Squared distance; infinite if one of the boxes is empty.
-    fn distance(&self, other: &Extent) -> f32 {
-        let ([min, max], [low, high]) = (self.0, other.0);
-        (0..3).fold(0.0, |sum, axis| {
-            let gap = (min[axis] - high[axis]).max(low[axis] - max[axis]).max(0.0);
-            sum + gap * gap
-        })
-    }
 }
 
 /// A point in the coordinates of the frame.
@@ -211,7 +183,7 @@ impl<'a> Chunks<'a> {
                 let own = self.boxes[self.leaves + chunk];
                 stack.push(1);
                 while let Some(node) = stack.pop() {
-                    if self.boxes[node].distance(&own) > reach * SLACK {
+                    if self.boxes[node].distance_squared(&own) > reach * SLACK {
                         continue;
                     }
                     if node < self.leaves {
@@ -241,12 +213,12 @@ impl<'a> Chunks<'a> {
         let mut nearby = Nearby::default();
         let mut stack = vec![1];
         while let Some(node) = stack.pop() {
-            if self.boxes[node].distance(&point) > nearby.bound() * SLACK {
+            if self.boxes[node].distance_squared(&point) > nearby.bound() * SLACK {
                 continue;
             }
             if node < self.leaves {
                 // The nearer child is pushed last, so it is visited first.
-                let far = |child: usize| self.boxes[child].distance(&point);
+                let far = |child: usize| self.boxes[child].distance_squared(&point);
                 let (left, right) = (2 * node, 2 * node + 1);
                 stack.extend(if far(left) <= far(right) { [right, left] } else { [left, right] });
                 continue;

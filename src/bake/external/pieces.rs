@@ -8,6 +8,7 @@ use std::ops::Range;
 
 use bytemuck::{Pod, Zeroable};
 
+use super::super::extent::Extent;
 use super::spill::SpillFile;
 
 /// Levels of the curve's cells.
@@ -26,20 +27,6 @@ pub(super) struct Place {
 pub(super) struct Piece {
     pub(super) range: Range<u64>,
     boxes: Vec<Extent>,
-}
-
-/// A box, given by its lower and upper corners.
-#[derive(Clone, Copy)]
-struct Extent([[f32; 3]; 2]);
-
-impl Extent {
-    fn distance_squared(&self, other: &Extent) -> f32 {
-        let ([min, max], [low, high]) = (self.0, other.0);
-        (0..3).fold(0.0, |sum, axis| {
-            let gap = (min[axis] - high[axis]).max(low[axis] - max[axis]).max(0.0);
-            sum + gap * gap
-        })
-    }
 }
 
 impl Piece {
@@ -136,14 +123,10 @@ fn end_of(
 }
 
 fn box_of(range: Range<u64>, places: &SpillFile<Place>) -> io::Result<Extent> {
-    let mut found = Extent([[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]]);
+    let mut found = Extent::EMPTY;
     let mut walk = places.walk(range, 1 << 18);
     while let Some(Place { at, .. }) = walk.next()? {
-        let [min, max] = &mut found.0;
-        for axis in 0..3 {
-            min[axis] = min[axis].min(at[axis]);
-            max[axis] = max[axis].max(at[axis]);
-        }
+        found = found.with(Extent([at; 2]));
     }
     Ok(found)
 }

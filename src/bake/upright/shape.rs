@@ -1,6 +1,7 @@
 //! Measures what tells up from down, and how light it is, on samples of an asset's surface.
 
 use glam::{DVec2, DVec3, Vec3};
+use serde::{Deserialize, Serialize};
 
 use super::lightness::lightness;
 use super::parts::{areas, as_cloud, as_mesh, corners};
@@ -21,7 +22,7 @@ const FACES_DOWN: f64 = 0.97;
 const GRID: f64 = 24.0;
 
 /// Measurements of an asset along its axes. Lengths are relative to the longest extent.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Shape {
     pub extent: [f64; 3],
     /// Overlap of the asset with its mirror image along each axis, 0 to 1.
@@ -35,7 +36,7 @@ pub struct Shape {
 }
 
 /// Measurements of one end of an asset. Areas are relative to the outline of the asset as it is seen along the axis.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct End {
     /// Area of the convex hull of what touches the ground.
     pub footprint: f64,

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use anyhow::{Context, ensure};
 
-use super::{ServeArgs, access, number, parse_file, read_file};
+use super::{Given, ServeArgs, access, number, parse_file, read_file};
 use crate::http::journal::Journal;
 use crate::http::rules::{Bounds, Reader, Reread};
 use crate::http::telemetry::Telemetry;
@@ -114,7 +114,7 @@ fn certificate(args: &ServeArgs) -> anyhow::Result<Option<tls::Tls>> {
 
 /// Returns what a reload reads: keys, certificates and the file of settings, where they are given. `given` has the flags and
 /// the environment alone, which no reload changes; `args` has the file's settings too.
-pub(super) fn reread(given: &ServeArgs, args: &ServeArgs, address: SocketAddr) -> Reread {
+pub(super) fn reread(given: Given, args: &ServeArgs, address: SocketAddr) -> Reread {
     fn reader<T>(read: impl Fn() -> anyhow::Result<T> + Send + Sync + 'static) -> Reader<T> {
         Reader(Arc::new(move || read().map_err(|error| format!("{error:#}"))))
     }
@@ -127,15 +127,14 @@ pub(super) fn reread(given: &ServeArgs, args: &ServeArgs, address: SocketAddr) -
             let args = args.clone();
             reader(move || certificate(&args)?.context("--tls-cert"))
         }),
-        bounds: given.config.as_ref().map(|path| {
-            let (given, path) = (given.clone(), path.clone());
+        bounds: args.config.clone().map(|path| {
             let table = |text: &str| text.parse::<toml::Table>().unwrap_or_default();
             let begun_with = table(&read_file(&path).unwrap_or_default());
             let last = parking_lot::Mutex::new(begun_with.clone());
             reader(move || {
                 let text = read_file(&path)?;
                 let file = parse_file(&text).with_context(|| path.display().to_string())?;
-                let of = |file| bounds(&given.clone().or(file));
+                let of = |file| bounds(&given.over(file)?);
                 let found = of(file)?;
                 let now = table(&text);
                 let is_reloaded = |name: &str| RELOADED.contains(&name);

@@ -4,11 +4,15 @@ use clap::Parser;
 #[derive(Parser)]
 struct Line {
     #[command(flatten)]
-    args: ServeArgs,
+    args: Given,
+}
+
+fn given(line: &[&str]) -> Given {
+    Line::parse_from(std::iter::once(&"serve").chain(line)).args
 }
 
 pub(super) fn flags(line: &[&str]) -> ServeArgs {
-    Line::parse_from(std::iter::once(&"serve").chain(line)).args
+    given(line).over(ServeArgs::default()).unwrap()
 }
 
 #[test]
@@ -16,7 +20,8 @@ fn flags_win_over_the_file() {
     let file = parse_file(
         "queue = 7\nmax-batch = 3\nscene = [\"a.json\"]\ninsecure = true\nlog-format = \"json\"",
     );
-    let args = flags(&["--queue", "9", "--scene", "b.ply", "--scene", "c.ply"]).or(file.unwrap());
+    let given = given(&["--queue", "9", "--scene", "b.ply", "--scene", "c.ply"]);
+    let args = given.over(file.unwrap()).unwrap();
     assert_eq!((args.queue, args.max_batch, args.insecure), (Some(9), Some(3), Some(true)));
     assert_eq!(args.scene, [PathBuf::from("b.ply"), PathBuf::from("c.ply")]);
     assert_eq!(args.log_format, Some(LogFormat::Json));
@@ -129,10 +134,8 @@ fn the_watchdog_outwaits_the_frame_timeout() {
 fn a_reload_changes_what_the_limits_are_made_of() {
     use super::edge::{RELOADED, bounds};
 
-    let shown = |file: &str| {
-        let args = ServeArgs::default().or(parse_file(file).ok()?);
-        bounds(&args).ok().map(|bounds| format!("{bounds:?}"))
-    };
+    let shown =
+        |file: &str| bounds(&parse_file(file).ok()?).ok().map(|bounds| format!("{bounds:?}"));
     let default = shown("").unwrap();
     let page = include_str!("../../../docs/deploy.md");
     for name in setting_names() {

@@ -368,29 +368,7 @@ impl std::str::FromStr for Background {
     }
 }
 
-impl Serialize for Background {
-    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_str(self)
-    }
-}
-
-impl<'de> Deserialize<'de> for Background {
-    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let text = String::deserialize(deserializer)?;
-        text.parse().map_err(serde::de::Error::custom)
-    }
-}
-
-impl utoipa::PartialSchema for Background {
-    fn schema() -> utoipa::openapi::RefOr<utoipa::openapi::schema::Schema> {
-        utoipa::openapi::ObjectBuilder::new()
-            .schema_type(utoipa::openapi::schema::Type::String)
-            .pattern(Some(BACKGROUND_PATTERN))
-            .into()
-    }
-}
-
-impl utoipa::ToSchema for Background {}
+crate::json::as_text!(Background, BACKGROUND_PATTERN);
 
 words! {
     /// When eye-dome lighting is used.

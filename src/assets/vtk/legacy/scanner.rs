@@ -3,7 +3,7 @@
 use std::io::{BufRead, Read};
 
 use super::super::super::AssetError;
-use super::super::super::tokens::{number, shown};
+use super::super::super::tokens::{is_blank, number, shown};
 use super::super::values::Kind;
 
 /// Longer words and lines are refused: binary data read as text have them.
@@ -217,8 +217,4 @@ impl<'a, R: BufRead> Scanner<'a, R> {
         }
         Ok(())
     }
-}
-
-fn is_blank(byte: u8) -> bool {
-    matches!(byte, b' ' | b'\t' | b'\r' | b'\n' | 0x0b | 0x0c)
 }
