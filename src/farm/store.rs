@@ -27,6 +27,7 @@ use serde::Deserialize;
 use sha2::{Digest, Sha256};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
+use super::Said;
 use super::messages::{Bundle, FilmOrder};
 use super::tries::Tries;
 use crate::engine::RequestId;
@@ -85,6 +86,11 @@ impl StoreError {
     fn is_missing(&self) -> bool {
         matches!(self, StoreError::Failed { error: object_store::Error::NotFound { .. }, .. })
     }
+
+    fn lacks_folder(&self) -> bool {
+        let not_found = std::io::ErrorKind::NotFound;
+        matches!(self, StoreError::Folder { error, .. } if error.kind() == not_found)
+    }
 }
 
 /// Objects of a film, by what their names say.
@@ -132,6 +138,25 @@ impl Store {
             Arc::new(files.with_automatic_cleanup(true))
         };
         Ok(Store { objects, name: text.into(), id: Arc::default() })
+    }
+
+    /// Opens a store as [`Store::open`] does, once its folder exists.
+    ///
+    /// # Errors
+    /// As for [`Store::open`], except that a missing folder is no error.
+    pub async fn wait(text: &str) -> Result<Store, StoreError> {
+        let said = Said::default();
+        loop {
+            match Store::open(text) {
+                Err(error) if error.lacks_folder() => {
+                    if said.is_due(text) {
+                        tracing::warn!("the worker waits: {error}");
+                    }
+                }
+                opened => return opened,
+            }
+            tokio::time::sleep(PAUSE).await;
+        }
     }
 
     /// Returns the store's name, as it was given.

@@ -1,3 +1,5 @@
+use futures::FutureExt;
+
 use super::*;
 use crate::jobs::spec::tests::spec;
 
@@ -48,6 +50,21 @@ fn missing_folders_are_no_stores() {
     assert!(!missing.exists() && !FilePath::new("s3:").exists());
     Store::create(text).unwrap();
     Store::create(text).unwrap();
+}
+
+#[tokio::test]
+async fn workers_wait_for_a_missing_folder_alone() {
+    let (folder, _) = store();
+    let path = folder.path().join("later");
+    let text = path.to_str().unwrap();
+    let mut waiting = std::pin::pin!(Store::wait(text));
+    assert!(waiting.as_mut().now_or_never().is_none());
+    std::fs::create_dir(&path).unwrap();
+    assert_eq!(waiting.await.unwrap().name(), text);
+    let file = folder.path().join("file");
+    std::fs::write(&file, "").unwrap();
+    let refusal = Store::wait(file.to_str().unwrap()).await.err().unwrap().to_string();
+    assert!(refusal.contains("a folder: Not a directory"), "{refusal}");
 }
 
 #[test]

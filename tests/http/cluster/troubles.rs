@@ -1,4 +1,4 @@
-//! Films while a worker is sick, the NATS server hangs, or the daemon ends at a bad moment.
+//! Films while a worker is early or sick, the NATS server hangs, or the daemon ends at a bad moment.
 
 use async_nats::jetstream::consumer::{AckPolicy, pull};
 use pointillist::farm::Address;
@@ -33,6 +33,19 @@ impl Cluster {
         File::create(folder).unwrap();
         worker
     }
+}
+
+#[test]
+fn workers_wait_until_the_server_has_made_the_store() {
+    let Some(cluster) = Cluster::start() else { return };
+    let mut early = [(); 2].map(|()| cluster.worker(&[], &[]));
+    for worker in &early {
+        eventually("a worker that waits", || worker.log().contains("the worker waits: --store"));
+    }
+    assert!(early[0].terminate(), "{}", early[0].log());
+    let daemon = cluster.daemon();
+    let id = create(&daemon.client(), json!({ "to": 9 }));
+    ended(&daemon.client(), &id, "done");
 }
 
 #[test]
