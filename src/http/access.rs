@@ -232,7 +232,7 @@ pub fn check_host(uri: &Uri, headers: &HeaderMap) -> Result<(), Problem> {
     }
     Err(Problem::new(
         Kind::WrongHost,
-        "a server on loopback without API keys answers only to loopback names",
+        "a listener on loopback that asks for no key answers only to loopback names",
     )
     .at("Host")
     .accepted("localhost, 127.0.0.1 or [::1], with any port"))

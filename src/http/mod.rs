@@ -458,6 +458,8 @@ pub fn monitoring(app: Arc<App>, only_loopback: bool) -> Router {
         .route("/metrics", get(service::metrics))
         .route("/healthz", get(service::healthz))
         .route("/readyz", get(service::readyz))
+        .fallback(service::not_monitored)
+        .method_not_allowed_fallback(service::method_not_allowed)
         .layer(axum::middleware::from_fn(guard))
         .with_state(app)
 }

@@ -308,9 +308,16 @@ fn metrics_move_to_a_listener_of_their_own() {
     let client = Client::new(address);
     assert!(client.get("/metrics").text().contains("pointillist_http_requests_total"));
     assert_eq!((client.get("/healthz").status, client.get("/readyz").status), (200, 200));
-    assert_eq!(client.get("/v1/scenes").status, 404);
+    let missing = client.get("/v1/scenes");
+    assert_eq!(missing.status, 404);
+    assert_eq!(missing.problem()["accepted"], "/metrics, /healthz or /readyz");
+    let post = client.send("POST", "/metrics", &[], None);
+    assert_eq!(post.status, 405);
+    assert_eq!(post.problem()["detail"], "/metrics does not take POST");
     let foreign = client.send("GET", "/metrics", &[("host", "evil.example")], None);
     assert_eq!(foreign.status, 421, "a page whose name resolves to loopback reads nothing");
+    let detail = foreign.problem()["detail"].to_string();
+    assert!(detail.contains("that asks for no key"), "the main listener may have keys: {detail}");
 }
 
 /// Writes a new certificate for `localhost` and its key.
