@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use futures::{FutureExt, StreamExt, TryStreamExt, stream};
@@ -14,11 +14,12 @@ use tokio::sync::OnceCell;
 
 use super::broker::{Address, Broker, BrokerError};
 use super::bundle::{Hashes, pack};
+use super::cleaning::clean_daily;
 use super::desk::Desk;
 use super::messages::{BEATS, Beat, FilmOrder, Note, Run, notes};
 use super::pacing::{LIST_AFTER, MOST_NOTES, READS, TICK};
 use super::roster::Roster;
-use super::store::{Store, StoreError, Suspects};
+use super::store::{Store, StoreError};
 use super::{Said, kind_of, stopped};
 use crate::engine::{Engine, RequestId};
 use crate::film::manifest::digits;
@@ -31,9 +32,6 @@ const PATIENCE: Duration = Duration::from_secs(10);
 const PAUSE: Duration = Duration::from_millis(500);
 /// Interval at which queued runs are counted.
 const COUNT_EVERY: Duration = Duration::from_secs(2);
-/// Interval at which the store is cleaned, and the time before the first cleaning.
-const CLEAN_EVERY: Duration = Duration::from_secs(24 * 3600);
-const CLEAN_AFTER: Duration = Duration::from_secs(3600);
 /// Interval at which a film's order is stored again, so that a cleaning between two others finds it changed.
 const RENEW: Duration = Duration::from_secs(12 * 3600);
 /// Time limit of the removal of a film that is over.
@@ -118,7 +116,7 @@ impl Farm {
         let farm = Farm { shared: Arc::new(shared) };
         farm.shared.runtime.spawn(hear_beats(farm.shared.clone()));
         farm.shared.runtime.spawn(count_queued(farm.shared.clone()));
-        farm.shared.runtime.spawn(clean_store(farm.shared.store.clone()));
+        farm.shared.runtime.spawn(clean_daily(farm.shared.store.clone()));
         Ok(farm)
     }
 }
@@ -154,35 +152,6 @@ async fn count_queued(shared: Arc<Shared>) {
         };
         *shared.queued.lock() = queued;
         tokio::time::sleep(COUNT_EVERY).await;
-    }
-}
-
-/// Removes what no film needs, for as long as the process lives.
-async fn clean_store(store: Store) {
-    // Not at once: servers that start together would clean together.
-    let mut pause = CLEAN_AFTER;
-    let mut suspects = Suspects::new();
-    loop {
-        tokio::time::sleep(pause).await;
-        pause = CLEAN_EVERY;
-        let now = SystemTime::now();
-        let cleaned = async {
-            let films = store.clean_films(now, &mut suspects).await?;
-            Ok::<_, StoreError>((films, store.clean(now).await?))
-        };
-        match cleaned.await {
-            Ok((0, 0)) => {}
-            Ok((films, files)) => {
-                tracing::info!(
-                    films,
-                    files,
-                    "films that no server draws and files that no film needs are removed from the store"
-                )
-            }
-            Err(error) => {
-                tracing::warn!(%error, "cannot remove old films and files from the store")
-            }
-        }
     }
 }
 
