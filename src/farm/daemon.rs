@@ -17,7 +17,7 @@ use super::bundle::{Hashes, pack};
 use super::cleaning::clean_daily;
 use super::desk::Desk;
 use super::messages::{BEATS, Beat, FilmOrder, Note, Run, notes};
-use super::pacing::{LIST_AFTER, MOST_NOTES, READS, TICK};
+use super::pacing::{Listings, MOST_NOTES, READS, TICK};
 use super::roster::Roster;
 use super::store::{Store, StoreError};
 use super::{Said, kind_of, stopped};
@@ -199,6 +199,7 @@ impl Remote for Farm {
                 film: film.clone(),
                 order: text,
                 desk,
+                listings: Listings::default(),
                 is_purged: false,
                 aside: BTreeMap::new(),
                 unqueued: None,
@@ -294,6 +295,7 @@ struct Collection<'a> {
     film: String,
     order: Vec<u8>,
     desk: Desk,
+    listings: Listings,
     /// The runs of an earlier process are removed from the queue.
     is_purged: bool,
     /// Why frames are set aside.
@@ -316,14 +318,11 @@ impl Collection<'_> {
     ) -> Result<(), FilmError> {
         let mut prepared: Option<Instant> = None;
         let mut heard = None;
-        // The store may have frames of an earlier process.
-        let mut listed_at: Option<Instant> = None;
-        let mut news_at = Instant::now();
         while !self.desk.is_clear() && self.aside.len() < MOST_ASIDE {
-            let is_quiet = news_at.elapsed() >= LIST_AFTER;
-            if listed_at.is_none_or(|at| is_quiet && at.elapsed() >= LIST_AFTER) {
+            // At first, the store may have frames of an earlier process.
+            if self.listings.is_due(Instant::now()) {
                 match self.look(keep).await? {
-                    Ok(()) => listed_at = Some(Instant::now()),
+                    Ok(()) => self.listings.listed(Instant::now()),
                     Err(error) => self.failed(&error.into()).await,
                 }
             }
@@ -344,7 +343,7 @@ impl Collection<'_> {
             let first = tokio::time::timeout(TICK, notes.next()).await;
             let mut arrived = Vec::new();
             if let Ok(Some(message)) = first {
-                news_at = Instant::now();
+                self.listings.hear(Instant::now());
                 self.hear(&message.payload, &mut arrived);
                 while arrived.len() < MOST_NOTES
                     && let Some(Some(message)) = notes.next().now_or_never()
@@ -489,6 +488,7 @@ impl Collection<'_> {
             (roster.runs_of(&self.film, now), roster.has_idle(self.kind, now))
         };
         self.desk.seen(&runs, now);
+        self.listings.see(&runs);
         let lost = self.desk.take_back(has_idle, now);
         if lost > 0 {
             tracing::warn!(
