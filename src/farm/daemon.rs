@@ -158,13 +158,14 @@ async fn count_queued(shared: Arc<Shared>) {
 impl Remote for Farm {
     fn load(&self) -> Load {
         let now = Instant::now();
-        let queued = *self.shared.queued.lock();
+        let is_connected = self.shared.broker.is_connected();
+        // The count may be older than the end of the connection.
+        let queued = self.shared.queued.lock().filter(|_| is_connected);
         let set_aside = self.shared.set_aside.load(Ordering::Relaxed);
         let roster = self.shared.roster.lock();
         let (kind, identity) = (self.shared.known_kind(), &self.shared.identity);
         let (workers, paused_workers) = (roster.of_kind(kind, now), roster.paused(kind, now));
         let other_workers = roster.others(kind, identity, now).into_values().sum();
-        let is_connected = self.shared.broker.is_connected();
         Load { is_connected, workers, paused_workers, other_workers, queued, set_aside }
     }
 

@@ -86,6 +86,22 @@ fn runs_stay_queued_while_the_broker_hangs() {
 }
 
 #[test]
+fn counts_end_with_the_connection() {
+    let Some(mut cluster) = Cluster::start() else { return };
+    let daemon = cluster.daemon();
+    let client = daemon.client();
+    let metrics = || client.get("/metrics").text();
+    eventually("counts", || metrics().contains("pointillist_worker_runs{"));
+    cluster.server.kill().unwrap();
+    let mut last = String::new();
+    eventually("a lost connection", || {
+        last = metrics();
+        last.contains("pointillist_farm_nats_connected 0")
+    });
+    assert!(!last.contains("pointillist_worker_runs{"), "{last}");
+}
+
+#[test]
 fn a_split_run_is_split_again_for_the_next_daemon() {
     let Some(cluster) = Cluster::start() else { return };
     let mut daemon = cluster.daemon();
