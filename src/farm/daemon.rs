@@ -63,6 +63,8 @@ struct Shared {
     /// `None` while the broker or the store does not answer.
     queued: Mutex<Option<Queued>>,
     set_aside: AtomicU64,
+    /// Frames that were queued or tried again.
+    retried: AtomicU64,
     /// Films that share the workers now.
     films: AtomicU64,
     hashes: Arc<Hashes>,
@@ -94,8 +96,8 @@ impl Farm {
         let (identity, adapter) = (engine.identity(), engine.adapter());
         let address = address.without_secrets();
         let roster = Mutex::new(Roster::default());
-        let (queued, set_aside) = (Mutex::default(), AtomicU64::new(0));
-        let films = AtomicU64::new(0);
+        let queued = Mutex::default();
+        let [set_aside, retried, films] = [(); 3].map(|()| AtomicU64::new(0));
         let hashes = Arc::<Hashes>::default();
         let runtime = runtime.clone();
         let shared = Shared {
@@ -110,6 +112,7 @@ impl Farm {
             roster,
             queued,
             set_aside,
+            retried,
             films,
             hashes,
         };
@@ -162,11 +165,12 @@ impl Remote for Farm {
         // The count may be older than the end of the connection.
         let queued = self.shared.queued.lock().filter(|_| is_connected);
         let set_aside = self.shared.set_aside.load(Ordering::Relaxed);
+        let retried = self.shared.retried.load(Ordering::Relaxed);
         let roster = self.shared.roster.lock();
         let (kind, identity) = (self.shared.known_kind(), &self.shared.identity);
         let (workers, paused_workers) = (roster.of_kind(kind, now), roster.paused(kind, now));
         let other_workers = roster.others(kind, identity, now).into_values().sum();
-        Load { is_connected, workers, paused_workers, other_workers, queued, set_aside }
+        Load { is_connected, workers, paused_workers, other_workers, queued, set_aside, retried }
     }
 
     fn draw(
@@ -418,8 +422,10 @@ impl Collection<'_> {
                 self.desk.seen(&[run], Instant::now());
                 self.desk.measured(drawn, Duration::from_nanos(elapsed_ns));
             }
-            Note::Failed { run, reason } => {
+            Note::Failed { run, frames, reason } => {
                 tracing::warn!(film = self.film, run, reason, "a run is tried again");
+                let frames = frames.min(self.desk.left_of(run));
+                self.shared.retried.fetch_add(frames, Ordering::Relaxed);
                 self.desk.seen(&[run], Instant::now());
                 self.trouble = Some(reason);
             }
@@ -494,9 +500,10 @@ impl Collection<'_> {
         if lost > 0 {
             tracing::warn!(
                 film = self.film,
-                lost,
+                frames = lost,
                 "no worker has these runs; they are queued again"
             );
+            self.shared.retried.fetch_add(lost, Ordering::Relaxed);
             match self.shared.broker.mend(self.kind).await {
                 Ok(true) => {
                     tracing::warn!(

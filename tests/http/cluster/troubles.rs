@@ -62,6 +62,7 @@ fn a_sick_worker_fails_no_film_and_pauses() {
     assert!(log.contains("failed at 3 runs in a row and pulls no run for 5 seconds"), "{log}");
     ended(&client, &id, "done");
     assert_eq!(client.metric("pointillist_frames_set_aside_total"), 0.0);
+    assert!(client.metric("pointillist_frames_retried_total") > 0.0);
     assert!(!sick.log().contains("set aside"), "{}", sick.log());
 }
 
