@@ -17,7 +17,7 @@ use super::bundle::{Hashes, pack};
 use super::cleaning::clean_daily;
 use super::desk::Desk;
 use super::messages::{BEATS, Beat, FilmOrder, Note, Run, notes};
-use super::pacing::{Listings, MOST_NOTES, READS, TICK};
+use super::pacing::{LOST_AFTER, Listings, MOST_NOTES, READS, TICK};
 use super::roster::Roster;
 use super::store::{Store, StoreError};
 use super::{Said, kind_of, stopped};
@@ -532,6 +532,13 @@ impl Collection<'_> {
         }
         let now = Instant::now();
         let roster = self.shared.roster.lock();
+        let missed = self.desk.missed(roster.has_idle(self.kind, now), now);
+        if missed > 0 {
+            let seconds = LOST_AFTER.as_secs();
+            return Some(format!(
+                "runs that no worker gets from the queue ({missed}); the server queues them again after {seconds} seconds without a sign of them"
+            ));
+        }
         if self.began.elapsed() < PATIENCE || roster.of_kind(self.kind, now) > 0 {
             return None;
         }

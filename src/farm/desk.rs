@@ -11,7 +11,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
 use super::messages::Run;
-use super::pacing::{LOST_AFTER, mean_time, most_runs, run_length, share_of_workers};
+use super::pacing::{LOST_AFTER, MISSED_AFTER, mean_time, most_runs, run_length, share_of_workers};
 use crate::film::Wanted;
 
 /// A frame that has not arrived.
@@ -139,6 +139,11 @@ impl Desk {
         self.sent.iter().filter(|(_, sent)| is_unseen(sent)).map(|(run, _)| *run).collect()
     }
 
+    /// Returns the number of runs that [`Desk::take_back`] takes back if they stay unseen.
+    pub fn missed(&self, has_idle: bool, now: Instant) -> usize {
+        self.unseen(MISSED_AFTER, has_idle, now).len()
+    }
+
     /// Takes back the frames of runs that the broker seems to have lost: none was seen for long although a worker is idle. Returns
     /// the number of such frames.
     pub fn take_back(&mut self, has_idle: bool, now: Instant) -> u64 {
@@ -178,7 +183,10 @@ mod tests {
         let second = desk.next(1, 1, start).unwrap();
         assert!(desk.close(0) && !desk.close(0));
         assert_eq!([first.id, second.id, 9].map(|run| desk.left_of(run)), [3, 2, 0]);
+        let missed = [(true, start), (false, start + MISSED_AFTER), (true, start + MISSED_AFTER)];
+        assert_eq!(missed.map(|(has_idle, now)| desk.missed(has_idle, now)), [0, 0, 2]);
         desk.seen(&[second.id], late);
+        assert_eq!(desk.missed(true, late), 1);
         assert_eq!((desk.take_back(false, late), desk.take_back(true, late)), (0, 3));
         let third = desk.next(1, 1, late).unwrap();
         assert!(third.id > second.id);

@@ -25,6 +25,8 @@ const TRIES_TOGETHER: u64 = 1;
 /// A run that no worker has named for this time, while some worker has nothing to do, is lost. The broker delivers a killed
 /// worker's run again much earlier ([`ACK_WAIT`]).
 pub const LOST_AFTER: Duration = Duration::from_secs(20);
+/// Time after which a film says that it waits for such a run. The broker has delivered a killed worker's run again by then.
+pub const MISSED_AFTER: Duration = Duration::from_secs(8);
 /// Time for which a worker must have waited for work to count as idle.
 pub const IDLE_AFTER: Duration = Duration::from_secs(5);
 /// Time after which the broker delivers a run again whose worker is silent.
