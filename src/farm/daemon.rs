@@ -163,7 +163,8 @@ impl Remote for Farm {
         let now = Instant::now();
         let is_connected = self.shared.broker.is_connected();
         // The count may be older than the end of the connection.
-        let queued = self.shared.queued.lock().filter(|_| is_connected);
+        let queued = *self.shared.queued.lock();
+        let queued = queued.filter(|_| is_connected);
         let set_aside = self.shared.set_aside.load(Ordering::Relaxed);
         let retried = self.shared.retried.load(Ordering::Relaxed);
         let roster = self.shared.roster.lock();

@@ -365,7 +365,7 @@ const ROUTES: [&str; 32] = [
     "/v1/scenes/{id}",
     "/v1/scenes/{id}/retry",
     "/v1/scenes/{id}/nodes/{node}",
-    "/v1/scenes/{id}/frame",
+    FRAME,
     "/v1/scenes/{id}/frames",
     "/v1/scenes/{id}/compare",
     "/v1/scenes/{id}/accuracy",
@@ -387,6 +387,8 @@ const ROUTES: [&str; 32] = [
 ];
 
 const STREAM: &str = "/v1/scenes/{id}/stream";
+
+const FRAME: &str = "/v1/scenes/{id}/frame";
 
 const UNMATCHED: &str = "unmatched";
 
@@ -412,7 +414,7 @@ pub fn router(app: Arc<App>) -> Router {
         .route("/v1/scenes/{id}", get(scenes::show).delete(scenes::remove))
         .route("/v1/scenes/{id}/retry", post(upload::retry))
         .route("/v1/scenes/{id}/nodes/{node}", patch(scenes::patch_node))
-        .route("/v1/scenes/{id}/frame", get(frame::frame))
+        .route(FRAME, get(frame::frame))
         .route("/v1/scenes/{id}/frames", post(frames::frames))
         .route("/v1/scenes/{id}/compare", post(compare::compare))
         .route(
