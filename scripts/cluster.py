@@ -81,12 +81,10 @@ class Cluster(Processes):
             time.sleep(0.05)
 
     def begin(self, workers):
-        """Starts everything. The daemon makes the store, which workers expect to be there."""
-        for name in ["broker", "daemon"]:
+        """Starts everything, and waits until the daemon draws frames."""
+        for name in ["broker", "daemon", *workers]:
             self.start(name)
         self.ready()
-        for name in workers:
-            self.start(name)
 
     def order(self):
         width, height = self.options.size.split("x")

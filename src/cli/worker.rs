@@ -30,7 +30,7 @@ pub struct WorkerArgs {
     /// Certificates, in PEM form, that sign the NATS server's own; requires TLS
     #[arg(long, env = "POINTILLIST_NATS_CA", value_name = "FILE")]
     nats_ca: Option<PathBuf>,
-    /// Existing folder, or s3://BUCKET/PREFIX, that the server and all workers share
+    /// Folder, or s3://BUCKET/PREFIX, that the server and all workers share; the worker waits until the folder exists
     #[arg(long, env = "POINTILLIST_STORE", value_name = "FOLDER_OR_URL")]
     store: String,
     /// Cache folder for point trees [default: `pointillist` in the user's cache folder]
@@ -104,7 +104,6 @@ impl SceneFolder {
 pub fn run(args: WorkerArgs) -> anyhow::Result<()> {
     memory::set_up_allocator();
     super::serve::init_log(super::serve::LogFormat::Text);
-    let store = Store::open(&args.store)?;
     let folder =
         SceneFolder::new(&std::env::temp_dir()).context("cannot create a folder for scenes")?;
     let root = folder.path().canonicalize().context("cannot open the folder for scenes")?;
@@ -120,9 +119,17 @@ pub fn run(args: WorkerArgs) -> anyhow::Result<()> {
     };
     let engine = Engine::start(engine_config(&settings, root.clone())?)?;
     let address = Address { url: args.nats, credentials: args.nats_credentials, ca: args.nats_ca };
+    let store = args.store;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let worked = runtime.block_on(async {
-        let signal = stop_signal()?;
+        let mut signal = std::pin::pin!(stop_signal()?);
+        let store = tokio::select! {
+            opened = Store::wait(&store) => opened?,
+            name = &mut signal => {
+                tracing::info!("{name}: the worker stops");
+                return anyhow::Ok(());
+            }
+        };
         store.try_writing().await.context("a worker must be able to write to the store")?;
         let worker = Worker::new(&address, store, engine.clone(), &root).await?;
         say!("drawing frames on {} for {}", engine.adapter(), address.without_secrets());

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use futures::{FutureExt, StreamExt, TryStreamExt, stream};
@@ -14,11 +14,12 @@ use tokio::sync::OnceCell;
 
 use super::broker::{Address, Broker, BrokerError};
 use super::bundle::{Hashes, pack};
+use super::cleaning::clean_daily;
 use super::desk::Desk;
 use super::messages::{BEATS, Beat, FilmOrder, Note, Run, notes};
-use super::pacing::{LIST_AFTER, MOST_NOTES, READS, TICK};
+use super::pacing::{LOST_AFTER, Listings, MOST_NOTES, READS, TICK};
 use super::roster::Roster;
-use super::store::{Store, StoreError, Suspects};
+use super::store::{Store, StoreError};
 use super::{Said, kind_of, stopped};
 use crate::engine::{Engine, RequestId};
 use crate::film::manifest::digits;
@@ -31,9 +32,6 @@ const PATIENCE: Duration = Duration::from_secs(10);
 const PAUSE: Duration = Duration::from_millis(500);
 /// Interval at which queued runs are counted.
 const COUNT_EVERY: Duration = Duration::from_secs(2);
-/// Interval at which the store is cleaned, and the time before the first cleaning.
-const CLEAN_EVERY: Duration = Duration::from_secs(24 * 3600);
-const CLEAN_AFTER: Duration = Duration::from_secs(3600);
 /// Interval at which a film's order is stored again, so that a cleaning between two others finds it changed.
 const RENEW: Duration = Duration::from_secs(12 * 3600);
 /// Time limit of the removal of a film that is over.
@@ -65,6 +63,8 @@ struct Shared {
     /// `None` while the broker or the store does not answer.
     queued: Mutex<Option<Queued>>,
     set_aside: AtomicU64,
+    /// Frames that were queued or tried again.
+    retried: AtomicU64,
     /// Films that share the workers now.
     films: AtomicU64,
     hashes: Arc<Hashes>,
@@ -96,8 +96,8 @@ impl Farm {
         let (identity, adapter) = (engine.identity(), engine.adapter());
         let address = address.without_secrets();
         let roster = Mutex::new(Roster::default());
-        let (queued, set_aside) = (Mutex::default(), AtomicU64::new(0));
-        let films = AtomicU64::new(0);
+        let queued = Mutex::default();
+        let [set_aside, retried, films] = [(); 3].map(|()| AtomicU64::new(0));
         let hashes = Arc::<Hashes>::default();
         let runtime = runtime.clone();
         let shared = Shared {
@@ -112,13 +112,14 @@ impl Farm {
             roster,
             queued,
             set_aside,
+            retried,
             films,
             hashes,
         };
         let farm = Farm { shared: Arc::new(shared) };
         farm.shared.runtime.spawn(hear_beats(farm.shared.clone()));
         farm.shared.runtime.spawn(count_queued(farm.shared.clone()));
-        farm.shared.runtime.spawn(clean_store(farm.shared.store.clone()));
+        farm.shared.runtime.spawn(clean_daily(farm.shared.store.clone()));
         Ok(farm)
     }
 }
@@ -157,46 +158,20 @@ async fn count_queued(shared: Arc<Shared>) {
     }
 }
 
-/// Removes what no film needs, for as long as the process lives.
-async fn clean_store(store: Store) {
-    // Not at once: servers that start together would clean together.
-    let mut pause = CLEAN_AFTER;
-    let mut suspects = Suspects::new();
-    loop {
-        tokio::time::sleep(pause).await;
-        pause = CLEAN_EVERY;
-        let now = SystemTime::now();
-        let cleaned = async {
-            let films = store.clean_films(now, &mut suspects).await?;
-            Ok::<_, StoreError>((films, store.clean(now).await?))
-        };
-        match cleaned.await {
-            Ok((0, 0)) => {}
-            Ok((films, files)) => {
-                tracing::info!(
-                    films,
-                    files,
-                    "films that no server draws and files that no film needs are removed from the store"
-                )
-            }
-            Err(error) => {
-                tracing::warn!(%error, "cannot remove old films and files from the store")
-            }
-        }
-    }
-}
-
 impl Remote for Farm {
     fn load(&self) -> Load {
         let now = Instant::now();
+        let is_connected = self.shared.broker.is_connected();
+        // The count may be older than the end of the connection.
         let queued = *self.shared.queued.lock();
+        let queued = queued.filter(|_| is_connected);
         let set_aside = self.shared.set_aside.load(Ordering::Relaxed);
+        let retried = self.shared.retried.load(Ordering::Relaxed);
         let roster = self.shared.roster.lock();
         let (kind, identity) = (self.shared.known_kind(), &self.shared.identity);
         let (workers, paused_workers) = (roster.of_kind(kind, now), roster.paused(kind, now));
         let other_workers = roster.others(kind, identity, now).into_values().sum();
-        let is_connected = self.shared.broker.is_connected();
-        Load { is_connected, workers, paused_workers, other_workers, queued, set_aside }
+        Load { is_connected, workers, paused_workers, other_workers, queued, set_aside, retried }
     }
 
     fn draw(
@@ -230,6 +205,7 @@ impl Remote for Farm {
                 film: film.clone(),
                 order: text,
                 desk,
+                listings: Listings::default(),
                 is_purged: false,
                 aside: BTreeMap::new(),
                 unqueued: None,
@@ -325,6 +301,7 @@ struct Collection<'a> {
     film: String,
     order: Vec<u8>,
     desk: Desk,
+    listings: Listings,
     /// The runs of an earlier process are removed from the queue.
     is_purged: bool,
     /// Why frames are set aside.
@@ -347,14 +324,11 @@ impl Collection<'_> {
     ) -> Result<(), FilmError> {
         let mut prepared: Option<Instant> = None;
         let mut heard = None;
-        // The store may have frames of an earlier process.
-        let mut listed_at: Option<Instant> = None;
-        let mut news_at = Instant::now();
         while !self.desk.is_clear() && self.aside.len() < MOST_ASIDE {
-            let is_quiet = news_at.elapsed() >= LIST_AFTER;
-            if listed_at.is_none_or(|at| is_quiet && at.elapsed() >= LIST_AFTER) {
+            // At first, the store may have frames of an earlier process.
+            if self.listings.is_due(Instant::now()) {
                 match self.look(keep).await? {
-                    Ok(()) => listed_at = Some(Instant::now()),
+                    Ok(()) => self.listings.listed(Instant::now()),
                     Err(error) => self.failed(&error.into()).await,
                 }
             }
@@ -375,7 +349,7 @@ impl Collection<'_> {
             let first = tokio::time::timeout(TICK, notes.next()).await;
             let mut arrived = Vec::new();
             if let Ok(Some(message)) = first {
-                news_at = Instant::now();
+                self.listings.hear(Instant::now());
                 self.hear(&message.payload, &mut arrived);
                 while arrived.len() < MOST_NOTES
                     && let Some(Some(message)) = notes.next().now_or_never()
@@ -449,8 +423,10 @@ impl Collection<'_> {
                 self.desk.seen(&[run], Instant::now());
                 self.desk.measured(drawn, Duration::from_nanos(elapsed_ns));
             }
-            Note::Failed { run, reason } => {
+            Note::Failed { run, frames, reason } => {
                 tracing::warn!(film = self.film, run, reason, "a run is tried again");
+                let frames = frames.min(self.desk.left_of(run));
+                self.shared.retried.fetch_add(frames, Ordering::Relaxed);
                 self.desk.seen(&[run], Instant::now());
                 self.trouble = Some(reason);
             }
@@ -520,13 +496,15 @@ impl Collection<'_> {
             (roster.runs_of(&self.film, now), roster.has_idle(self.kind, now))
         };
         self.desk.seen(&runs, now);
+        self.listings.see(&runs);
         let lost = self.desk.take_back(has_idle, now);
         if lost > 0 {
             tracing::warn!(
                 film = self.film,
-                lost,
+                frames = lost,
                 "no worker has these runs; they are queued again"
             );
+            self.shared.retried.fetch_add(lost, Ordering::Relaxed);
             match self.shared.broker.mend(self.kind).await {
                 Ok(true) => {
                     tracing::warn!(
@@ -555,6 +533,13 @@ impl Collection<'_> {
         }
         let now = Instant::now();
         let roster = self.shared.roster.lock();
+        let missed = self.desk.missed(roster.has_idle(self.kind, now), now);
+        if missed > 0 {
+            let seconds = LOST_AFTER.as_secs();
+            return Some(format!(
+                "runs that no worker gets from the queue ({missed}); the server queues them again after {seconds} seconds without a sign of them"
+            ));
+        }
         if self.began.elapsed() < PATIENCE || roster.of_kind(self.kind, now) > 0 {
             return None;
         }

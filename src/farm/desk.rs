@@ -11,7 +11,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
 use super::messages::Run;
-use super::pacing::{LOST_AFTER, mean_time, most_runs, run_length, share_of_workers};
+use super::pacing::{LOST_AFTER, MISSED_AFTER, mean_time, most_runs, run_length, share_of_workers};
 use crate::film::Wanted;
 
 /// A frame that has not arrived.
@@ -128,17 +128,29 @@ impl Desk {
         self.frame_time = mean_time(self.frame_time, drawn, elapsed);
     }
 
+    /// Returns the number of frames of a run that have not arrived.
+    pub fn left_of(&self, run: u64) -> u64 {
+        self.sent.get(&run).map_or(0, |sent| sent.frames.len() as u64)
+    }
+
+    /// Returns the runs that no worker has named for a time although a worker is idle.
+    fn unseen(&self, time: Duration, has_idle: bool, now: Instant) -> Vec<u64> {
+        let is_unseen = |sent: &Sent| has_idle && now.saturating_duration_since(sent.seen) >= time;
+        self.sent.iter().filter(|(_, sent)| is_unseen(sent)).map(|(run, _)| *run).collect()
+    }
+
+    /// Returns the number of runs that [`Desk::take_back`] takes back if they stay unseen.
+    pub fn missed(&self, has_idle: bool, now: Instant) -> usize {
+        self.unseen(MISSED_AFTER, has_idle, now).len()
+    }
+
     /// Takes back the frames of runs that the broker seems to have lost: none was seen for long although a worker is idle. Returns
-    /// the number of such runs.
-    pub fn take_back(&mut self, has_idle: bool, now: Instant) -> usize {
-        if !has_idle {
-            return 0;
-        }
-        let is_lost = |sent: &Sent| now.saturating_duration_since(sent.seen) >= LOST_AFTER;
-        let lost: Vec<u64> =
-            self.sent.iter().filter(|(_, sent)| is_lost(sent)).map(|(run, _)| *run).collect();
-        for run in &lost {
-            let numbers = self.sent.remove(run).map(|sent| sent.frames).unwrap_or_default();
+    /// the number of such frames.
+    pub fn take_back(&mut self, has_idle: bool, now: Instant) -> u64 {
+        let mut lost = 0;
+        for run in self.unseen(LOST_AFTER, has_idle, now) {
+            let numbers = self.sent.remove(&run).map(|sent| sent.frames).unwrap_or_default();
+            lost += numbers.len() as u64;
             for number in numbers {
                 if let Some(frame) = self.frames.get_mut(&number) {
                     frame.run = None;
@@ -146,7 +158,7 @@ impl Desk {
                 }
             }
         }
-        lost.len()
+        lost
     }
 }
 
@@ -170,8 +182,12 @@ mod tests {
         assert_eq!((first.id, first.frames.len()), (0, 4));
         let second = desk.next(1, 1, start).unwrap();
         assert!(desk.close(0) && !desk.close(0));
+        assert_eq!([first.id, second.id, 9].map(|run| desk.left_of(run)), [3, 2, 0]);
+        let missed = [(true, start), (false, start + MISSED_AFTER), (true, start + MISSED_AFTER)];
+        assert_eq!(missed.map(|(has_idle, now)| desk.missed(has_idle, now)), [0, 0, 2]);
         desk.seen(&[second.id], late);
-        assert_eq!((desk.take_back(false, late), desk.take_back(true, late)), (0, 1));
+        assert_eq!(desk.missed(true, late), 1);
+        assert_eq!((desk.take_back(false, late), desk.take_back(true, late)), (0, 3));
         let third = desk.next(1, 1, late).unwrap();
         assert!(third.id > second.id);
         let again: Vec<u64> = third.frames.iter().map(|frame| frame.number).collect();

@@ -116,8 +116,8 @@ pub enum Note {
     Drawn { run: u64, frame: u64 },
     /// A worker has drawn so many frames of a run in this time.
     Finished { run: u64, drawn: u64, elapsed_ns: u64 },
-    /// A worker could not draw a run, and another try follows.
-    Failed { run: u64, reason: String },
+    /// A worker could not draw a run or a part of it, and another try follows.
+    Failed { run: u64, frames: u64, reason: String },
     /// Nobody tries to draw a frame any more; the store says why.
     SetAside { run: u64, frame: u64 },
 }

@@ -26,6 +26,7 @@
 
 pub mod broker;
 pub(crate) mod bundle;
+mod cleaning;
 mod daemon;
 pub mod desk;
 pub mod messages;

@@ -1,6 +1,6 @@
 //! Decides how frames are shared out and when they are given up. Pure: counts and times come in, decisions come out.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Desired time of a run. Shorter runs pay more for the way to the broker, longer ones keep others waiting at the end of a film.
 pub const RUN_TIME: Duration = Duration::from_secs(2);
@@ -25,6 +25,8 @@ const TRIES_TOGETHER: u64 = 1;
 /// A run that no worker has named for this time, while some worker has nothing to do, is lost. The broker delivers a killed
 /// worker's run again much earlier ([`ACK_WAIT`]).
 pub const LOST_AFTER: Duration = Duration::from_secs(20);
+/// Time after which a film says that it waits for such a run. The broker has delivered a killed worker's run again by then.
+pub const MISSED_AFTER: Duration = Duration::from_secs(8);
 /// Time for which a worker must have waited for work to count as idle.
 pub const IDLE_AFTER: Duration = Duration::from_secs(5);
 /// Time after which the broker delivers a run again whose worker is silent.
@@ -43,7 +45,9 @@ pub const UNSTORED: usize = 4;
 /// Interval at which a server looks at a film when no note comes.
 pub const TICK: Duration = Duration::from_millis(250);
 /// Time without notes after which a server lists a film in the store.
-pub const LIST_AFTER: Duration = Duration::from_secs(2);
+const LIST_AFTER: Duration = Duration::from_secs(2);
+/// Number of times that the interval of listings is doubled while nothing is new.
+const MOST_DOUBLINGS: u32 = 4;
 /// Frames that a server reads from the store at a time for a film.
 pub const READS: usize = 8;
 /// Notes of a film that a server takes at a time.
@@ -101,6 +105,51 @@ pub fn judge(begun: u64, deaths: u64, frames: usize) -> Verdict {
 /// draws. A fresh run of several frames seldom has any: the server has looked before. Runs of one frame may come from a run that was split.
 pub fn may_be_stored(begun: u64, frames: usize) -> bool {
     begun > 0 || frames <= 1
+}
+
+/// Decides when a server lists a film in the store, in case notes were lost. Each listing costs requests for all frames of the film, so
+/// listings become rarer while no note comes and no worker begins or ends a run.
+#[derive(Debug, Default)]
+pub struct Listings {
+    latest: Option<Instant>,
+    /// When the latest note came.
+    news: Option<Instant>,
+    /// Listings since something was new.
+    quiet: u32,
+    /// Runs that workers have.
+    runs: Vec<u64>,
+}
+
+impl Listings {
+    /// Records that a note came.
+    pub fn hear(&mut self, now: Instant) {
+        self.news = Some(now);
+        self.quiet = 0;
+    }
+
+    /// Records which runs workers have, in order. The notes of a run that has ended may be lost.
+    pub fn see(&mut self, runs: &[u64]) {
+        if self.runs != runs {
+            self.runs = runs.to_vec();
+            self.quiet = 0;
+        }
+    }
+
+    /// Records a listing.
+    pub fn listed(&mut self, now: Instant) {
+        self.latest = Some(now);
+        self.quiet = (self.quiet + 1).min(MOST_DOUBLINGS);
+    }
+
+    /// Returns whether the film is to be listed. The first listing is due at once.
+    pub fn is_due(&self, now: Instant) -> bool {
+        let has_passed = |at: Option<Instant>, time: Duration| {
+            at.is_none_or(|at| now.saturating_duration_since(at) >= time)
+        };
+        self.latest.is_none()
+            || has_passed(self.news, LIST_AFTER)
+                && has_passed(self.latest, LIST_AFTER * (1 << self.quiet))
+    }
 }
 
 /// Consecutive runs at which a worker failed for reasons of its own, such as a full disk.
@@ -176,6 +225,32 @@ mod tests {
         assert_eq!(fail(&mut streak), Some(60));
         streak.end();
         assert_eq!([(); 3].map(|()| fail(&mut streak)), [None, None, Some(5)]);
+    }
+
+    #[test]
+    fn a_quiet_film_is_listed_less_and_less_often() {
+        let start = Instant::now();
+        let listed = |listings: &mut Listings, seconds: std::ops::Range<u64>| {
+            let mut at = Vec::new();
+            for second in seconds {
+                let now = start + Duration::from_secs(second);
+                if listings.is_due(now) {
+                    listings.listed(now);
+                    at.push(second);
+                }
+            }
+            at
+        };
+        let mut listings = Listings::default();
+        assert_eq!(listed(&mut listings, 0..130), [0, 4, 12, 28, 60, 92, 124]);
+        listings.hear(start + Duration::from_secs(130));
+        assert_eq!(listed(&mut listings, 130..140), [132, 136]);
+        // The last note of a film may be lost, but its worker is seen to be idle.
+        listings.see(&[7]);
+        listings.see(&[]);
+        assert_eq!(listed(&mut listings, 140..146), [140, 144]);
+        listings.see(&[]);
+        assert_eq!(listed(&mut listings, 146..152), [0u64; 0]);
     }
 
     proptest! {

@@ -52,10 +52,12 @@ impl Roster {
         others
     }
 
-    /// Returns the runs of a film that workers have.
+    /// Returns the runs of a film that workers have, in order.
     pub fn runs_of(&self, film: &str, now: Instant) -> Vec<u64> {
         let busy = self.alive(now).filter_map(|beat| beat.busy.as_ref());
-        busy.filter(|(of, _)| of == film).map(|(_, run)| *run).collect()
+        let mut runs: Vec<u64> = busy.filter(|(of, _)| of == film).map(|(_, run)| *run).collect();
+        runs.sort_unstable();
+        runs
     }
 
     /// Returns whether a worker of a kind has had nothing to do for a while.

@@ -27,6 +27,7 @@ use serde::Deserialize;
 use sha2::{Digest, Sha256};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
+use super::Said;
 use super::messages::{Bundle, FilmOrder};
 use super::tries::Tries;
 use crate::engine::RequestId;
@@ -85,6 +86,11 @@ impl StoreError {
     fn is_missing(&self) -> bool {
         matches!(self, StoreError::Failed { error: object_store::Error::NotFound { .. }, .. })
     }
+
+    fn lacks_folder(&self) -> bool {
+        let not_found = std::io::ErrorKind::NotFound;
+        matches!(self, StoreError::Folder { error, .. } if error.kind() == not_found)
+    }
 }
 
 /// Objects of a film, by what their names say.
@@ -132,6 +138,25 @@ impl Store {
             Arc::new(files.with_automatic_cleanup(true))
         };
         Ok(Store { objects, name: text.into(), id: Arc::default() })
+    }
+
+    /// Opens a store as [`Store::open`] does, once its folder exists.
+    ///
+    /// # Errors
+    /// As for [`Store::open`], except that a missing folder is no error.
+    pub async fn wait(text: &str) -> Result<Store, StoreError> {
+        let said = Said::default();
+        loop {
+            match Store::open(text) {
+                Err(error) if error.lacks_folder() => {
+                    if said.is_due(text) {
+                        tracing::warn!("the worker waits: {error}");
+                    }
+                }
+                opened => return opened,
+            }
+            tokio::time::sleep(PAUSE).await;
+        }
     }
 
     /// Returns the store's name, as it was given.
@@ -399,16 +424,20 @@ impl Store {
         Ok(abandoned.len())
     }
 
-    /// Removes scenes' files that no film needs and that are a week old at the time `now`. Returns their number.
+    /// Removes scenes' files that no film needs and that are a week old at the time `now`. Returns their number. A film whose order is
+    /// damaged needs none once the order is a day old: a server stores orders again twice a day, and stores the files before it draws on.
     ///
     /// # Errors
-    /// The store fails, or a film's order cannot be read; then nothing is removed.
+    /// The store fails, or a younger order is damaged; then nothing is removed.
     pub async fn clean(&self, now: SystemTime) -> Result<usize, StoreError> {
         self.check().await?;
         let assets = Path::from("assets");
         let assets: Vec<_> = self.tried(|| self.objects.list(Some(&assets)).try_collect()).await?;
-        let is_old = |at: SystemTime| now.duration_since(at).is_ok_and(|age| age >= KEPT);
-        let old = assets.into_iter().filter(|asset| is_old(asset.last_modified.into()));
+        let is_old = |object: &ObjectMeta, age: Duration| {
+            let at = SystemTime::from(object.last_modified);
+            now.duration_since(at).is_ok_and(|since| since >= age)
+        };
+        let old = assets.into_iter().filter(|asset| is_old(asset, KEPT));
         // Whatever else lies there is somebody else's.
         let ours = old.map(|asset| asset.location).filter(is_asset);
         let mut old: Vec<Path> = ours.collect();
@@ -422,10 +451,19 @@ impl Store {
             let name = film.join("order.json");
             // The film may have ended.
             let Some(text) = self.get(&name).await? else { continue };
-            let order: Needs = serde_json::from_slice(&text).map_err(|error| {
-                let source = format!("{name}: {error}").into();
-                self.failed(object_store::Error::Generic { store: "order", source })
-            })?;
+            let order: Needs = match serde_json::from_slice(&text) {
+                Ok(order) => order,
+                Err(error) => {
+                    let found = absent(self.tried(|| self.objects.head(&name)).await)?;
+                    if found.is_none_or(|found| is_old(&found, FRESH)) {
+                        continue;
+                    }
+                    let source = format!("{name}: {error}").into();
+                    return Err(
+                        self.failed(object_store::Error::Generic { store: "order", source })
+                    );
+                }
+            };
             needed.extend(order.scene.files.iter().map(|file| asset_path(&file.sha256)));
         }
         old.retain(|asset| !needed.contains(asset));
@@ -433,7 +471,7 @@ impl Store {
         for asset in &old {
             // A film that has begun meanwhile has stored its files again.
             let found = absent(self.tried(|| self.objects.head(asset)).await)?;
-            if found.is_some_and(|found| is_old(found.last_modified.into())) {
+            if found.is_some_and(|found| is_old(&found, KEPT)) {
                 absent(self.tried(|| self.objects.delete(asset)).await)?;
                 removed += 1;
             }

@@ -282,7 +282,8 @@ impl Worker {
             }
             Err(Failure { why: reason, .. }) => {
                 tracing::warn!(film = run.film, run = run.id, reason, "a run failed");
-                self.tell(&run, &Note::Failed { run: run.id, reason }).await;
+                let frames = run.frames.len() as u64;
+                self.tell(&run, &Note::Failed { run: run.id, frames, reason }).await;
                 self.answer(message, AckKind::Nak(Some(AGAIN))).await;
             }
         }

@@ -19,8 +19,8 @@ use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;
 
 use self::signed::{Caps, Claim, Secret};
-use super::STREAM;
 use super::problem::{Kind, Problem};
+use super::{FRAME, STREAM};
 
 pub mod keys;
 pub mod signed;
@@ -151,7 +151,7 @@ pub fn needed(method: &Method, route: &str) -> Option<Scope> {
 pub fn draws(route: &str) -> bool {
     route == STREAM
         || [
-            "/v1/scenes/{id}/frame",
+            FRAME,
             "/v1/scenes/{id}/frames",
             "/v1/scenes/{id}/pick",
             "/v1/scenes/{id}/compare",
@@ -232,7 +232,7 @@ pub fn check_host(uri: &Uri, headers: &HeaderMap) -> Result<(), Problem> {
     }
     Err(Problem::new(
         Kind::WrongHost,
-        "a server on loopback without API keys answers only to loopback names",
+        "a listener on loopback that asks for no key answers only to loopback names",
     )
     .at("Host")
     .accepted("localhost, 127.0.0.1 or [::1], with any port"))

@@ -105,6 +105,9 @@ pub async fn frame(
         validators(response.headers_mut(), tag, negotiated);
         return Ok(response);
     }
+    if let Some(key) = client.owner() {
+        app.limits.check_device(key, Instant::now())?;
+    }
     if method == Method::HEAD {
         // A body of unknown length, so that the library adds no `Content-Length`.
         let body =

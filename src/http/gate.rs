@@ -20,8 +20,8 @@ use super::problem::Problem;
 use super::rules::Rules;
 use super::telemetry::{Parent, Telemetry};
 use super::{
-    App, Caller, Owner, ROUTES, TIMING_ALLOW_ORIGIN, UNMATCHED, access, address, body, journal,
-    naming,
+    App, Caller, FRAME, Owner, ROUTES, TIMING_ALLOW_ORIGIN, UNMATCHED, access, address, body,
+    journal, naming,
 };
 use crate::engine::Client;
 
@@ -247,7 +247,12 @@ fn admit(
     let _ = asked.key.set(key.name.clone());
     asked.is_signed.store(is_signed, Ordering::Relaxed);
     let number = app.number_of(key);
-    app.limits.admit_key(number, &key.quotas, access::draws(route), now)?;
+    app.limits.admit_key(number, &key.quotas, now)?;
+    // The handler of frames answers 304 where the client has the frame, and checks the time otherwise.
+    let is_conditional = route == FRAME && headers.contains_key(header::IF_NONE_MATCH);
+    if access::draws(route) && !is_conditional {
+        app.limits.check_device(number, now)?;
+    }
     let is_admin = key.scope == access::Scope::Admin && !is_signed;
     let owner = Owner { name: Some(key.name.clone()), is_admin, quotas: key.quotas };
     Ok((Caller(Client::Caller(number), caps), owner))

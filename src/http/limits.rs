@@ -137,33 +137,29 @@ impl Limits {
         self.told.lock().bucket(address::network(from), WRONG_KEYS, now).take(now).is_ok()
     }
 
-    /// Counts a request of a key, given the number of its client. `draws` tells whether the request uses the GPU.
+    /// Counts a request of a key, given the number of its client.
     ///
     /// # Errors
-    /// 429 after too many requests, or when the key's GPU time is used up.
-    pub fn admit_key(
-        &self,
-        key: u64,
-        quotas: &Quotas,
-        draws: bool,
-        now: Instant,
-    ) -> Result<(), Problem> {
-        if let Some(rate) = quotas.requests_per_second.map(rate) {
-            let mut table = self.by_key.lock();
-            table.bucket(key, rate, now).take(now).map_err(|wait| too_many(rate, "key", wait))?;
-        }
-        if draws && let Some(ms) = quotas.device_ms_per_minute {
-            let mut table = self.device.lock();
-            table.bucket(key, device_rate(ms), now).check(now).map_err(|wait| {
-                let detail = format!("this key has used its {ms} ms of GPU time a minute");
-                Problem::new(Kind::DeviceQuota, detail)
-                    .accepted(
-                        "fewer or smaller frames, or the request after the time in Retry-After",
-                    )
-                    .retry_after(wait)
-            })?;
-        }
-        Ok(())
+    /// 429 after too many requests.
+    pub fn admit_key(&self, key: u64, quotas: &Quotas, now: Instant) -> Result<(), Problem> {
+        let Some(rate) = quotas.requests_per_second.map(rate) else { return Ok(()) };
+        let mut table = self.by_key.lock();
+        table.bucket(key, rate, now).take(now).map_err(|wait| too_many(rate, "key", wait))
+    }
+
+    /// Checks that a key may use the GPU.
+    ///
+    /// # Errors
+    /// 429 when the key's GPU time is used up.
+    pub fn check_device(&self, key: u64, now: Instant) -> Result<(), Problem> {
+        let Some(ms) = self.quotas(key).device_ms_per_minute else { return Ok(()) };
+        let mut table = self.device.lock();
+        table.bucket(key, device_rate(ms), now).check(now).map_err(|wait| {
+            let detail = format!("this key has used its {ms} ms of GPU time a minute");
+            Problem::new(Kind::DeviceQuota, detail)
+                .accepted("fewer or smaller frames, or the request after the time in Retry-After")
+                .retry_after(wait)
+        })
     }
 
     /// Charges a key for GPU time, if its time is limited.
@@ -264,10 +260,10 @@ mod tests {
             |from| (0..99).filter(|_| limits.admit_address(from, Some(5.0), start).is_ok()).count();
         assert_eq!((let_in(A), let_in(B)), (10, 10));
         let quotas = Quotas { requests_per_second: Some(0.1), ..Quotas::default() };
-        assert!(limits.admit_key(1, &quotas, false, start).is_ok());
-        let refused = limits.admit_key(1, &quotas, false, start).unwrap_err();
+        assert!(limits.admit_key(1, &quotas, start).is_ok());
+        let refused = limits.admit_key(1, &quotas, start).unwrap_err();
         assert_eq!((refused.status(), refused.retry_after_ms), (429, Some(10_000)));
-        assert!(limits.admit_key(1, &Quotas::default(), true, start).is_ok());
+        assert!(limits.admit_key(1, &Quotas::default(), start).is_ok());
     }
 
     #[test]
@@ -275,12 +271,12 @@ mod tests {
         let (start, time) = (Instant::now(), SystemTime::now());
         let quotas = Quotas { device_ms_per_minute: Some(600), ..Quotas::default() };
         let limits = with_key(quotas, None);
-        limits.admit_key(1, &quotas, true, start).unwrap();
+        limits.check_device(1, start).unwrap();
         limits.charge(1, Duration::from_millis(700), start);
-        let refused = limits.admit_key(1, &quotas, true, start).unwrap_err();
+        let refused = limits.check_device(1, start).unwrap_err();
         // 101 ms at 10 ms a second.
         assert_eq!((refused.status(), refused.retry_after_ms), (429, Some(10_100)));
-        assert!(limits.admit_key(1, &quotas, false, start).is_ok(), "requests that draw nothing");
+        assert!(limits.admit_key(1, &quotas, start).is_ok(), "requests that draw nothing");
         assert!(matches!(limits.standing(1, &Caps::default(), start, time), Standing::Spent(_)));
         // A reload that lifts the quota lets open streams go on at once.
         let holder = Holder { quotas: Quotas::default(), expires: None, credentials: [None; 2] };

@@ -401,14 +401,21 @@ impl Collector for JobCollector {
         for (state, count) in states.into_iter().flatten() {
             gauge(count).encode(runs.encode_family(&[("state", state)])?)?;
         }
-        let aside = ConstCounter::new(load.set_aside);
-        let help = "Frames that were given up because each of several workers ended or failed while drawing them";
-        aside.encode(encoder.encode_descriptor(
-            "frames_set_aside",
-            help,
-            None,
-            aside.metric_type(),
-        )?)
+        for (name, help, count) in [
+            (
+                "frames_set_aside",
+                "Frames that were given up because each of several workers ended or failed while drawing them",
+                load.set_aside,
+            ),
+            (
+                "frames_retried",
+                "Frames that another try draws because a worker failed at their run, or because no worker seemed to have the run",
+                load.retried,
+            ),
+        ] {
+            write(&mut encoder, name, help, None, &ConstCounter::new(count))?;
+        }
+        Ok(())
     }
 }
 

@@ -364,7 +364,7 @@ const ROUTES: [&str; 32] = [
     "/v1/scenes/{id}",
     "/v1/scenes/{id}/retry",
     "/v1/scenes/{id}/nodes/{node}",
-    "/v1/scenes/{id}/frame",
+    FRAME,
     "/v1/scenes/{id}/frames",
     "/v1/scenes/{id}/compare",
     "/v1/scenes/{id}/accuracy",
@@ -386,6 +386,8 @@ const ROUTES: [&str; 32] = [
 ];
 
 const STREAM: &str = "/v1/scenes/{id}/stream";
+
+const FRAME: &str = "/v1/scenes/{id}/frame";
 
 const UNMATCHED: &str = "unmatched";
 
@@ -411,7 +413,7 @@ pub fn router(app: Arc<App>) -> Router {
         .route("/v1/scenes/{id}", get(scenes::show).delete(scenes::remove))
         .route("/v1/scenes/{id}/retry", post(upload::retry))
         .route("/v1/scenes/{id}/nodes/{node}", patch(scenes::patch_node))
-        .route("/v1/scenes/{id}/frame", get(frame::frame))
+        .route(FRAME, get(frame::frame))
         .route("/v1/scenes/{id}/frames", post(frames::frames))
         .route("/v1/scenes/{id}/compare", post(compare::compare))
         .route(
@@ -457,6 +459,8 @@ pub fn monitoring(app: Arc<App>, only_loopback: bool) -> Router {
         .route("/metrics", get(service::metrics))
         .route("/healthz", get(service::healthz))
         .route("/readyz", get(service::readyz))
+        .fallback(service::not_monitored)
+        .method_not_allowed_fallback(service::method_not_allowed)
         .layer(axum::middleware::from_fn(guard))
         .with_state(app)
 }

@@ -308,11 +308,16 @@ pub async fn limits(
     })
 }
 
+/// Answers an address that the listener for monitoring lacks.
+pub async fn not_monitored(uri: Uri) -> Problem {
+    nothing_at(&shortened(&uri)).accepted("/metrics, /healthz or /readyz")
+}
+
 pub async fn unknown_route(State(app): State<Arc<App>>, uri: Uri) -> Problem {
-    let path: String = uri.path().chars().take(128).collect();
+    let path = shortened(&uri);
     let is_here = |route: &&str| *route != "/metrics" || !app.settings.edge.metrics_apart;
     let known = ROUTES.iter().copied().filter(|route| route.starts_with('/')).filter(is_here);
-    let problem = Problem::new(Kind::UnknownRoute, format!("there is nothing at {path}"));
+    let problem = nothing_at(&path);
     match nearest(&path, known) {
         Some(route) => problem.accepted(format!("{route}; all routes are in /openapi.yaml")),
         None => problem.accepted("the routes in /openapi.yaml"),
@@ -320,7 +325,16 @@ pub async fn unknown_route(State(app): State<Arc<App>>, uri: Uri) -> Problem {
 }
 
 pub async fn method_not_allowed(method: Method, uri: Uri) -> Problem {
-    let path: String = uri.path().chars().take(128).collect();
+    let path = shortened(&uri);
     Problem::new(Kind::MethodNotAllowed, format!("{path} does not take {method}"))
         .accepted("the methods in the Allow header")
+}
+
+fn nothing_at(path: &str) -> Problem {
+    Problem::new(Kind::UnknownRoute, format!("there is nothing at {path}"))
+}
+
+/// Returns the part of a path that an answer repeats.
+fn shortened(uri: &Uri) -> String {
+    uri.path().chars().take(128).collect()
 }

@@ -33,6 +33,8 @@ pub struct Load {
     pub queued: Option<Queued>,
     /// Frames that were set aside since the start of the process.
     pub set_aside: u64,
+    /// Frames that were tried again since then, each as often as it was.
+    pub retried: u64,
 }
 
 /// Numbers of runs in the queue.

@@ -131,12 +131,18 @@ fn keys_expire_and_have_limits() {
     let wait: u64 = refused.header("retry-after").unwrap().parse().unwrap();
     assert!((1..=4).contains(&wait), "{wait}");
     // A frame of many pixels costs more than a millisecond; the next one has to wait.
-    let first = get("poor", "/v1/scenes/grid/frame?w=1024&h=1024");
+    let big = "/v1/scenes/grid/frame?w=1024&h=1024";
+    let first = get("poor", big);
     assert_eq!(first.status, 200);
     assert!(first.receipt()["gpu_ns"].as_u64().unwrap() > 1_000_000, "{}", first.receipt());
     let refused = get("poor", FRAME);
     assert_eq!(refused.problem()["type"], "urn:pointillist:problem:device-quota");
     assert_eq!(refused.status, 429);
+    // A frame that the client has costs no time. Any other does.
+    for (tag, status) in [(first.header("etag").unwrap(), 304), ("\"another\"", 429)] {
+        let headers = [("authorization", "Bearer poor"), ("if-none-match", tag)];
+        assert_eq!(client.send("GET", big, &headers, None).status, status);
+    }
     assert_eq!(get("poor", "/v1/scenes").status, 200, "requests that draw nothing");
     assert_eq!(get("free", FRAME).status, 200);
     // A file with a fault changes nothing, and the log names line and key.
@@ -308,9 +314,13 @@ fn metrics_move_to_a_listener_of_their_own() {
     let client = Client::new(address);
     assert!(client.get("/metrics").text().contains("pointillist_http_requests_total"));
     assert_eq!((client.get("/healthz").status, client.get("/readyz").status), (200, 200));
-    assert_eq!(client.get("/v1/scenes").status, 404);
-    let foreign = client.send("GET", "/metrics", &[("host", "evil.example")], None);
-    assert_eq!(foreign.status, 421, "a page whose name resolves to loopback reads nothing");
+    let missing = client.get("/v1/scenes").problem();
+    assert_eq!(missing["status"], 404);
+    assert_eq!(missing["accepted"], "/metrics, /healthz or /readyz");
+    assert_eq!(client.send("POST", "/metrics", &[], None).problem()["status"], 405);
+    let foreign = client.send("GET", "/metrics", &[("host", "evil.example")], None).problem();
+    assert_eq!(foreign["status"], 421, "a page whose name resolves to loopback reads nothing");
+    assert!(foreign["detail"].to_string().contains("that asks for no key"), "{foreign}");
 }
 
 /// Writes a new certificate for `localhost` and its key.

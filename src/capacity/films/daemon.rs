@@ -8,7 +8,7 @@ use super::{Event, Message, Outcome, Plan, Publisher, World, film_name};
 use crate::capacity::station::Station;
 use crate::farm::desk::Desk;
 use crate::farm::messages::{Beat, Note};
-use crate::farm::pacing::{LIST_AFTER, MOST_NOTES, READS, TICK};
+use crate::farm::pacing::{Listings, MOST_NOTES, READS, TICK};
 use crate::farm::roster::Roster;
 use crate::film::Wanted;
 
@@ -34,8 +34,7 @@ struct Collection {
     inbox: VecDeque<Note>,
     /// Number of the latest tick; earlier ones are void.
     tick: u64,
-    listed_ns: Option<u64>,
-    news_ns: u64,
+    listings: Listings,
     to_read: VecDeque<u64>,
     reading: usize,
     to_keep: VecDeque<u64>,
@@ -66,8 +65,7 @@ impl Daemon {
                 ),
                 inbox: VecDeque::new(),
                 tick: 0,
-                listed_ns: None,
-                news_ns: 0,
+                listings: Listings::default(),
                 to_read: VecDeque::new(),
                 reading: 0,
                 to_keep: VecDeque::new(),
@@ -100,7 +98,6 @@ impl Daemon {
             return;
         }
         self.running += 1;
-        self.films[film].news_ns = world.now_ns();
         self.turn(world, film);
     }
 
@@ -118,9 +115,7 @@ impl Daemon {
             }
             return;
         }
-        let list_after_ns = LIST_AFTER.as_nanos() as u64;
-        let is_quiet = now_ns - it.news_ns >= list_after_ns;
-        if it.listed_ns.is_none_or(|at| is_quiet && now_ns - at >= list_after_ns) {
+        if it.listings.is_due(world.now()) {
             it.phase = Phase::Listing;
             let stored = world.frames[film].iter().filter(|frame| frame.is_stored).count();
             let at_ns = world.store.list(stored as u64, now_ns);
@@ -133,7 +128,7 @@ impl Daemon {
     /// Takes everything that is in the store.
     pub fn listed(&mut self, world: &mut World, film: usize) {
         let it = &mut self.films[film];
-        it.listed_ns = Some(world.now_ns());
+        it.listings.listed(world.now());
         let stored = world.frames[film].iter().enumerate().filter(|(_, frame)| frame.is_stored);
         let numbers = stored.map(|(number, _)| number as u64);
         it.to_read.extend(numbers.filter(|number| it.desk.tag(*number).is_some()));
@@ -192,7 +187,7 @@ impl Daemon {
     fn take_notes(&mut self, world: &mut World, film: usize) {
         let now = world.now();
         let it = &mut self.films[film];
-        it.news_ns = world.now_ns();
+        it.listings.hear(now);
         for note in it.inbox.drain(..MOST_NOTES.min(it.inbox.len())) {
             match note {
                 Note::Drawn { run, frame } | Note::SetAside { run, frame } => {
@@ -262,9 +257,10 @@ impl Daemon {
         let now = world.now();
         let runs = self.roster.runs_of(&film_name(film), now);
         let has_idle = self.roster.has_idle(KIND, now);
-        let desk = &mut self.films[film].desk;
-        desk.seen(&runs, now);
-        desk.take_back(has_idle, now);
+        let it = &mut self.films[film];
+        it.desk.seen(&runs, now);
+        it.listings.see(&runs);
+        it.desk.take_back(has_idle, now);
     }
 
     pub fn beat(&mut self, world: &mut World, number: usize, worker: &Worker) {

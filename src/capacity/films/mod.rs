@@ -11,7 +11,7 @@
 //! | worker | all frames are stored | sends a note, reads the order, acknowledges the run |
 //! | worker | always | sends a beat every second |
 //! | daemon | a note comes | reads the frame and keeps it, one film on one thread |
-//! | daemon | no note came for a while | lists the film in the store |
+//! | daemon | no note came for a while | lists the film in the store, less and less often while nothing is new |
 //! | broker | no word of a run for [`ACK_WAIT`](crate::farm::pacing::ACK_WAIT) | delivers it again |
 
 mod broker;

@@ -1,3 +1,5 @@
+use futures::FutureExt;
+
 use super::*;
 use crate::jobs::spec::tests::spec;
 
@@ -48,6 +50,21 @@ fn missing_folders_are_no_stores() {
     assert!(!missing.exists() && !FilePath::new("s3:").exists());
     Store::create(text).unwrap();
     Store::create(text).unwrap();
+}
+
+#[tokio::test]
+async fn workers_wait_for_a_missing_folder_alone() {
+    let (folder, _) = store();
+    let path = folder.path().join("later");
+    let text = path.to_str().unwrap();
+    let mut waiting = std::pin::pin!(Store::wait(text));
+    assert!(waiting.as_mut().now_or_never().is_none());
+    std::fs::create_dir(&path).unwrap();
+    assert_eq!(waiting.await.unwrap().name(), text);
+    let file = folder.path().join("file");
+    std::fs::write(&file, "").unwrap();
+    let refusal = Store::wait(file.to_str().unwrap()).await.err().unwrap().to_string();
+    assert!(refusal.contains("a folder: Not a directory"), "{refusal}");
 }
 
 #[test]
@@ -134,11 +151,8 @@ async fn leftovers_are_removed_unless_the_film_has_an_order_again() {
 }
 
 /// Makes a file of the store look older.
-fn age(folder: &FilePath, sha256: &str, by: Duration) {
-    let file = std::fs::File::options()
-        .write(true)
-        .open(folder.join("deep/store/assets").join(sha256))
-        .unwrap();
+fn age(file: &FilePath, by: Duration) {
+    let file = std::fs::File::options().write(true).open(file).unwrap();
     file.set_modified(SystemTime::now() - by).unwrap();
 }
 
@@ -156,7 +170,7 @@ async fn old_assets_are_removed_unless_a_film_needs_them() {
     let now = SystemTime::now();
     assert_eq!(store.clean(now).await.unwrap(), 0);
     for name in [&old, &needed, &foreign] {
-        age(folder.path(), name, KEPT + PAUSE);
+        age(&assets.join(name), KEPT + PAUSE);
     }
     let mut order = serde_json::json!({"scene": {
         "main": "a.ply", "base": null, "up": null,
@@ -166,7 +180,8 @@ async fn old_assets_are_removed_unless_a_film_needs_them() {
     store.put_order("broken", b"{}".to_vec()).await.unwrap();
     let error = store.clean(now).await.unwrap_err().to_string();
     assert!(error.contains("films/broken/order.json"), "{error}");
-    store.remove("broken").await.unwrap();
+    // If a server drew this film, it would have stored the order again.
+    age(&folder.path().join("deep/store/films/broken/order.json"), 2 * FRESH);
     assert_eq!(store.clean(now).await.unwrap(), 1);
     let has = |name: &String| assets.join(name).exists();
     assert_eq!([&old, &needed, &young, &foreign].map(has), [false, true, true, true]);
@@ -212,7 +227,7 @@ async fn assets_are_stored_once_and_checked() {
     store.put_asset(&sha256, &file).await.unwrap();
     // The second time, nothing is read.
     store.put_asset(&sha256, FilePath::new("/no/such/file")).await.unwrap();
-    age(folder.path(), &sha256, FRESH);
+    age(&folder.path().join("deep/store/assets").join(&sha256), FRESH);
     store.put_asset(&sha256, &file).await.unwrap();
     store.put_asset(&sha256, FilePath::new("/no/such/file")).await.unwrap();
     let copy = folder.path().join("copy.ply");

@@ -1,4 +1,4 @@
-//! Films while a worker is sick, the NATS server hangs, or the daemon ends at a bad moment.
+//! Films while a worker is early or sick, the NATS server hangs, or the daemon ends at a bad moment.
 
 use async_nats::jetstream::consumer::{AckPolicy, pull};
 use pointillist::farm::Address;
@@ -36,6 +36,19 @@ impl Cluster {
 }
 
 #[test]
+fn workers_wait_until_the_server_has_made_the_store() {
+    let Some(cluster) = Cluster::start() else { return };
+    let mut early = [(); 2].map(|()| cluster.worker(&[], &[]));
+    for worker in &early {
+        eventually("a worker that waits", || worker.log().contains("the worker waits: --store"));
+    }
+    assert!(early[0].terminate(), "{}", early[0].log());
+    let daemon = cluster.daemon();
+    let id = create(&daemon.client(), json!({ "to": 9 }));
+    ended(&daemon.client(), &id, "done");
+}
+
+#[test]
 fn a_sick_worker_fails_no_film_and_pauses() {
     let Some(cluster) = Cluster::start() else { return };
     let daemon = cluster.daemon();
@@ -49,6 +62,7 @@ fn a_sick_worker_fails_no_film_and_pauses() {
     assert!(log.contains("failed at 3 runs in a row and pulls no run for 5 seconds"), "{log}");
     ended(&client, &id, "done");
     assert_eq!(client.metric("pointillist_frames_set_aside_total"), 0.0);
+    assert!(client.metric("pointillist_frames_retried_total") > 0.0);
     assert!(!sick.log().contains("set aside"), "{}", sick.log());
 }
 
@@ -70,6 +84,22 @@ fn runs_stay_queued_while_the_broker_hangs() {
     ended(&client, &id, "done");
     let log = daemon.log();
     assert!(log.contains("a film waits") && !log.contains(LOST), "{log}");
+}
+
+#[test]
+fn counts_end_with_the_connection() {
+    let Some(mut cluster) = Cluster::start() else { return };
+    let daemon = cluster.daemon();
+    let client = daemon.client();
+    let metrics = || client.get("/metrics").text();
+    eventually("counts", || metrics().contains("pointillist_worker_runs{"));
+    cluster.server.kill().unwrap();
+    let mut last = String::new();
+    eventually("a lost connection", || {
+        last = metrics();
+        last.contains("pointillist_farm_nats_connected 0")
+    });
+    assert!(!last.contains("pointillist_worker_runs{"), "{last}");
 }
 
 #[test]
