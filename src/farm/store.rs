@@ -87,9 +87,10 @@ impl StoreError {
         matches!(self, StoreError::Failed { error: object_store::Error::NotFound { .. }, .. })
     }
 
+    /// The folder may still be made. A URL that is not S3's never becomes one.
     fn lacks_folder(&self) -> bool {
         let not_found = std::io::ErrorKind::NotFound;
-        matches!(self, StoreError::Folder { error, .. } if error.kind() == not_found)
+        matches!(self, StoreError::Folder { store, error } if error.kind() == not_found && !store.contains("://"))
     }
 }
 

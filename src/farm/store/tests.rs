@@ -65,6 +65,8 @@ async fn workers_wait_for_a_missing_folder_alone() {
     std::fs::write(&file, "").unwrap();
     let refusal = Store::wait(file.to_str().unwrap()).await.err().unwrap().to_string();
     assert!(refusal.contains("a folder: Not a directory"), "{refusal}");
+    let refusal = Store::wait("gs://bucket").await.err().unwrap().to_string();
+    assert!(refusal.starts_with("--store gs://bucket: expected s3://BUCKET"), "{refusal}");
 }
 
 #[test]
