@@ -33,7 +33,7 @@ struct Inspection {
     scene: SceneInfo,
     adapter: String,
     gpu_budget_bytes: u64,
-    /// The passes of a colour frame, with the reason for each one that is skipped.
+    /// The passes and effects of a colour frame, with the reason for each one that is skipped.
     plan: FramePlan,
     /// Estimated share of each asset's sampled surface that splats leave uncovered, 0 to 1; `null` where there is no such surface.
     uncovered: Vec<Option<f64>>,
@@ -121,12 +121,13 @@ fn text(told: &Inspection) -> String {
         found => format!("{}\n\n", fields(found)),
     };
     let mut passes = table();
-    passes.set_header(["pass", "runs"]);
-    for planned in &told.plan.passes {
-        passes.add_row([
-            planned.pass.name().to_owned(),
-            planned.skipped.map_or("yes".to_owned(), |why| format!("no: {why}")),
-        ]);
+    passes.set_header(["pass or effect", "runs"]);
+    let plan = &told.plan;
+    let names = plan.passes.iter().map(|planned| (planned.pass.name().to_owned(), planned.skipped));
+    let effects = plan.specialisations.iter();
+    let effects = effects.map(|planned| (planned.specialisation.name(), planned.skipped));
+    for (name, skipped) in names.chain(effects) {
+        passes.add_row([name, skipped.map_or("yes".to_owned(), |why| format!("no: {why}"))]);
     }
     let trees: String = told.trees.iter().flatten().map(tree_text).collect();
     format!("{facts}\n\n{assets}\n\n{fields}{passes}\n{trees}")

@@ -7,8 +7,8 @@ use std::time::Instant;
 use super::framing;
 use super::landing::Drawn;
 use super::receipt::{
-    InstanceCounts, Legend, PassReceipt, Receipt, SampleCounts, SegmentCounts, SplatCounts,
-    TranslucentOrder, TranslucentReceipt, TriangleCounts,
+    InstanceCounts, Legend, PassReceipt, Receipt, SampleCounts, SegmentCounts,
+    SpecialisationReceipt, SplatCounts, TranslucentOrder, TranslucentReceipt, TriangleCounts,
 };
 use super::state::EngineState;
 use super::trace::FrameSpans;
@@ -121,6 +121,7 @@ fn receipt(state: &EngineState, drawn: &Drawn) -> Receipt {
             .recolor
             .and_then(|recolor| Legend::of(&recolor, &resolved.scene.info.fields)),
         passes: PassReceipt::list(&drawing.plan, &drawn.pass_ns),
+        specialisations: SpecialisationReceipt::list(&drawing.plan),
         nothing_visible: nothing_visible(drawn),
         gpu_ns: drawn.gpu_ns,
         queue_ns: drawn.queue.as_nanos() as u64,

@@ -221,7 +221,8 @@ fn casting_lights(model: &SceneModel) -> usize {
 fn facts(model: &SceneModel, bounds: &Bounds) -> SceneFacts {
     let counts = model.counts();
     let size = if bounds.is_empty() { DVec3::ZERO } else { bounds.max - bounds.min };
-    let translucent_nodes = model.has_translucent_overrides();
+    let looks = model.looks();
+    let translucent_nodes = looks.translucent_overrides;
     SceneFacts {
         counts,
         has_normals: model.assets.iter().any(|asset| asset.has_normals),
@@ -237,6 +238,7 @@ fn facts(model: &SceneModel, bounds: &Bounds) -> SceneFacts {
         trees: false,
         translucent: translucent_nodes || model.assets.iter().any(|asset| asset.has_translucent()),
         translucent_nodes,
+        looks,
     }
 }
 

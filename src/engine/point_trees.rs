@@ -270,7 +270,8 @@ impl Loaded {
             totals: OnceLock::new(),
             ..SceneModel::clone(&self.model)
         };
-        let facts = SceneFacts { trees: true, counts: model.counts(), ..self.facts };
+        let (counts, looks) = (model.counts(), model.looks());
+        let facts = SceneFacts { trees: true, counts, looks, ..self.facts };
         Ok(TreeScene { model: Arc::new(model), facts, instance_trees })
     }
 

@@ -4,7 +4,9 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use crate::plan::planner::PlanReceipt;
-use crate::plan::{FramePlan, Pass, PlannedPass, UsedSettings};
+use crate::plan::{
+    FramePlan, Pass, PlannedPass, PlannedSpecialisation, Specialisation, UsedSettings,
+};
 use crate::scene::fields::{SceneField, class_color, class_name};
 use crate::scene::recolor::{ColorMap, Recolor};
 
@@ -37,6 +39,8 @@ pub struct Receipt {
     pub legend: Option<Legend>,
     /// Passes that ran, in the order in which they first did, then those that were skipped.
     pub passes: Vec<PassReceipt>,
+    /// Effects without a pass of their own: whether passes have them.
+    pub specialisations: Vec<SpecialisationReceipt>,
     /// Why the image shows nothing but the background, and what to do about it; `null` where something is seen.
     pub nothing_visible: Option<String>,
     /// From the first pass's begin to the last one's end.
@@ -160,6 +164,26 @@ impl PassReceipt {
             }),
         });
         ran.chain(skipped).chain(idle).collect()
+    }
+}
+
+/// An effect that passes have, or why they have not.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+pub struct SpecialisationReceipt {
+    pub name: Specialisation,
+    pub ran: bool,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub why: Option<&'static str>,
+}
+
+impl SpecialisationReceipt {
+    pub fn list(plan: &FramePlan) -> Vec<SpecialisationReceipt> {
+        let line = |planned: &PlannedSpecialisation| SpecialisationReceipt {
+            name: planned.specialisation,
+            ran: planned.skipped.is_none(),
+            why: planned.skipped,
+        };
+        plan.specialisations.iter().map(line).collect()
     }
 }
 

@@ -21,7 +21,7 @@ use crate::passes::{
     self, Context, FrameTask, MapKey, PassSpan, Pipelines, Round, Scratch, ShadowMaps, Shadows,
     Uniforms,
 };
-use crate::plan::Pass;
+use crate::plan::{Pass, Specialisation};
 use crate::residency::layout::{GpuStats, MOST_VIEWS};
 use crate::residency::model::SceneModel;
 use crate::residency::{Residency, ResidencyError};
@@ -374,14 +374,14 @@ impl Renderer {
             parts,
             least_line_px: drawing.settings.least_line_px() * scale,
             background: drawing.background(&first.frame.model),
-            environment: drawing.plan.has_environment,
+            environment: drawing.plan.draws(Specialisation::Environment),
             fog: drawing.fog(&first.frame.model),
             occlusion: first
                 .frame
                 .model
                 .occlusion
                 .filter(|_| drawing.plan.runs(Pass::AmbientOcclusion)),
-            tone: drawing.settings.tone(),
+            tone: drawing.tone(),
             image_rows: drawing.settings.image_rows().map(|rows| rows.saturating_mul(parts)),
             window_pixels: passes::window_pixels(self.gpu.max_binding_bytes()),
             entry_capacity: self.scratch.entry_capacity(),

@@ -20,12 +20,12 @@ use crate::plan::auto::Choice;
 use crate::plan::shadow::light_views;
 use crate::plan::{
     AdapterFacts, Background, FrameFacts, FramePlan, Given, Output, Pass, Reconstruction,
-    SceneFacts, Settings, Shadows, plan,
+    SceneFacts, Settings, Shadows, Specialisation, plan,
 };
 use crate::residency::model::{Extent, SceneModel};
 use crate::scene::clipping::ClipRegion;
 use crate::scene::recolor::Recolor;
-use crate::scene::{Fog, Light, Splats};
+use crate::scene::{Fog, Light, Splats, Tone};
 
 /// A checked request, with everything that was decided for it.
 #[derive(Clone)]
@@ -151,6 +151,7 @@ impl Drawing {
             has_background: settings.background.is_some(),
             fog: settings.fog,
             occlusion: settings.ao,
+            is_toned: settings.tone().is_some(),
             is_averaged,
             is_exposed,
         };
@@ -193,7 +194,12 @@ impl Drawing {
 
     /// The fog that surfaces are seen through.
     pub fn fog(&self, model: &SceneModel) -> Option<Fog> {
-        model.fog.filter(|_| self.plan.has_fog)
+        model.fog.filter(|_| self.plan.draws(Specialisation::Fog))
+    }
+
+    /// How light becomes colours; `None` where colours are the light.
+    pub fn tone(&self) -> Option<Tone> {
+        self.settings.tone().filter(|_| self.plan.draws(Specialisation::Tone))
     }
 
     /// Linear RGB and straight alpha of pixels that show nothing. Fog that is as dense everywhere hides what is infinitely far away; the background keeps its

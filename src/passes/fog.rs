@@ -3,6 +3,7 @@
 use super::pipelines::Constants;
 use super::recorder::Recorder;
 use crate::math::View;
+use crate::plan::Specialisation;
 use crate::scene::Fog;
 
 /// Linear RGB and the density for each scene unit.
@@ -24,5 +25,6 @@ pub fn heights(fog: &Fog, view: &View) -> [f32; 4] {
 /// Override of `shared/fog`; none where there is no fog.
 pub fn constants(recorder: &Recorder) -> Constants {
     let number = |fog: Fog| if fog.layer.is_some() { 2 } else { 1 };
-    recorder.task.fog.map(|fog| ("FOG", number(fog))).into_iter().collect()
+    let name = Specialisation::Fog.constant();
+    recorder.task.fog.map(|fog| (name, number(fog))).into_iter().collect()
 }

@@ -18,7 +18,7 @@ use crate::gpu::bind::BindCache;
 use crate::gpu::pipeline::{BindingSlot, GROUPS};
 use crate::gpu::shader::ShaderError;
 use crate::gpu::timing::{Span, Timer};
-use crate::plan::{Pass, Per, Stage};
+use crate::plan::{Pass, Per, Specialisation, Stage};
 use crate::residency::layout::{GpuDispatch, LOD_LAUNCHES};
 use crate::residency::{Residency, ResidentScene};
 use crate::scene::clipping::Side;
@@ -212,7 +212,7 @@ impl<'a, 'c> Recorder<'a, 'c> {
     pub fn empty_window(&mut self) {
         let pixels = u64::from(self.window_pixels());
         let scratch = &self.context.scratch;
-        let covered = covered_bytes(self.scene.looks.transmits);
+        let covered = covered_bytes(self.task.plan.draws(Specialisation::Transmits));
         let buffers = [(&scratch.fragments, FRAGMENT_BYTES), (&scratch.covered, covered)];
         for (buffer, bytes) in buffers {
             self.encoder.clear_buffer(buffer.buffer().raw(), 0, Some(pixels * bytes));

@@ -8,7 +8,7 @@ use super::spread::{lanes, painters, sort_workers};
 use super::windows::{FRAGMENT_BYTES, covered_bytes, most_pixels};
 use crate::gpu::Gpu;
 use crate::gpu::buffer;
-use crate::plan::{FramePlan, Pass};
+use crate::plan::{FramePlan, Pass, Specialisation};
 use crate::residency::layout::{
     GpuDispatch, GpuEntry, GpuPlaced, GpuRun, GpuSegment, GpuSlot, GpuStats, INSTANCE_GROUP,
     LOD_LAUNCHES,
@@ -236,7 +236,7 @@ impl Scratch {
         if task.plan.runs(Pass::WriteOutput) {
             self.colors.reserve(gpu, pixels * 8);
             self.normals.reserve(gpu, pixels * 4);
-            if scene.looks.maps {
+            if task.plan.draws(Specialisation::Maps) {
                 self.mapped.reserve(gpu, pixels * 8);
             }
         }
@@ -273,7 +273,8 @@ impl Scratch {
         if task.composites() {
             let pixels = pixels.min(task.window_pixels.into());
             self.fragments.reserve(gpu, pixels * FRAGMENT_BYTES);
-            self.covered.reserve(gpu, pixels * covered_bytes(scene.looks.transmits));
+            let transmits = task.plan.draws(Specialisation::Transmits);
+            self.covered.reserve(gpu, pixels * covered_bytes(transmits));
         }
         if task.plan.runs(Pass::Pull) {
             for patches in &mut self.patches {

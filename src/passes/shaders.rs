@@ -392,6 +392,20 @@ pub fn composed(root: &str, choices: &Choices) -> Result<Composed, ShaderError> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plan::Specialisation;
+
+    /// Each is an override of some shader, or stands for fragments.
+    #[test]
+    fn specialisations_are_those_of_shaders() {
+        let texts: Vec<&str> = SHARED.iter().copied().chain(roots()).filter_map(source).collect();
+        let aliases = Choices::default().aliases();
+        for effect in Specialisation::ALL {
+            let name = effect.constant();
+            let declared = format!("override {name}: ");
+            let is_override = texts.iter().any(|text| text.contains(&declared));
+            assert!(is_override || aliases.iter().any(|(alias, _)| *alias == name), "{name}");
+        }
+    }
 
     #[test]
     fn another_build_is_another_renderer() {

@@ -1,6 +1,7 @@
 //! Which passes a frame needs and why, as pure functions of scene, request and adapter (floor 3).
 //!
-//! The plan is a value: it has every line of the [table of passes](table), each with the reason where the pass is skipped.
+//! The plan is a value: it has every line of the [table of passes](table), each with the reason where the pass is skipped, and every line of
+//! the table of specialisations beside it.
 //! Recording goes through its [steps](FramePlan::steps).
 
 pub mod auto;
@@ -23,9 +24,11 @@ pub use settings::{
 };
 
 pub(crate) use table::pass_table;
+use table::specialisation_table;
 pub use table::{Kind, MANY_CHUNKS, Per, Stage};
 
 use crate::bake::pack::{Counts, GeometryKind};
+use crate::residency::Looks;
 use crate::scene::{EyeDome, Shading};
 
 /// Facts about a scene that decide the plans of its frames.
@@ -56,12 +59,7 @@ pub struct SceneFacts {
     pub translucent: bool,
     /// Some nodes have translucent colours of their own.
     pub translucent_nodes: bool,
-}
-
-impl SceneFacts {
-    pub fn has(&self, kind: GeometryKind) -> bool {
-        self.counts.of(kind) > 0
-    }
+    pub looks: Looks,
 }
 
 /// Number of turns in which distant chunks are tested for occlusion; the shaders have the same number.
@@ -108,6 +106,53 @@ macro_rules! declare {
 }
 pass_table!(declare);
 
+macro_rules! declare_specialisations {
+    ($($name:ident $constant:literal [$($reason:ident)*];)+) => {
+        /// An effect without a pass of its own. Passes have its code where a frame calls for it.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, utoipa::ToSchema)]
+        #[serde(rename_all = "snake_case")]
+        pub enum Specialisation {
+            $($name),+
+        }
+
+        impl Specialisation {
+            pub const ALL: &[Specialisation] = &[$(Specialisation::$name),+];
+        }
+
+        const SPECIALISATIONS: &[SpecialisationLine] = &[$(SpecialisationLine {
+            constant: $constant,
+            reasons: &[$(table::$reason),*],
+        }),+];
+    };
+}
+specialisation_table!(declare_specialisations);
+
+/// A specialisation's line of its table.
+struct SpecialisationLine {
+    constant: &'static str,
+    reasons: &'static [table::Reason],
+}
+
+impl Specialisation {
+    fn line(self) -> &'static SpecialisationLine {
+        &SPECIALISATIONS[self as usize]
+    }
+
+    /// The override of shaders that switches the effect on, or the name that stands for its fragments.
+    pub fn constant(self) -> &'static str {
+        self.line().constant
+    }
+
+    /// The name on the wire.
+    pub fn name(self) -> String {
+        self.constant().to_lowercase()
+    }
+
+    fn skipped(self, facts: &Facts) -> Option<&'static str> {
+        table::first(self.line().reasons, facts)
+    }
+}
+
 /// A pass's line of the table.
 struct Line {
     name: &'static str,
@@ -141,8 +186,7 @@ impl Pass {
     }
 
     fn skipped(self, facts: &Facts) -> Option<&'static str> {
-        let mut reasons = self.line().reasons.iter();
-        reasons.find(|reason| (reason.holds)(facts)).map(|reason| reason.text)
+        table::first(self.line().reasons, facts)
     }
 }
 
@@ -164,6 +208,8 @@ pub struct FrameFacts {
     pub fog: Effect,
     /// Ambient occlusion is wanted where the scene has some.
     pub occlusion: Effect,
+    /// Exposure or a tone map changes the light.
+    pub is_toned: bool,
     /// Pixels are means of their parts.
     pub is_averaged: bool,
     /// The frame is the mean of several exposures.
@@ -178,16 +224,21 @@ pub struct PlannedPass {
     pub skipped: Option<&'static str>,
 }
 
+/// One line of a plan about an effect without a pass.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct PlannedSpecialisation {
+    pub specialisation: Specialisation,
+    /// Why it is left out; `None` when passes have it.
+    pub skipped: Option<&'static str>,
+}
+
 /// The passes of one frame.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct FramePlan {
     pub passes: Vec<PlannedPass>,
+    pub specialisations: Vec<PlannedSpecialisation>,
     /// Light is computed for each pixel, from its normal.
     pub lights_pixels: bool,
-    /// Surfaces are seen through fog.
-    pub has_fog: bool,
-    /// Light comes from the directions that the scene's surroundings have it in.
-    pub has_environment: bool,
 }
 
 /// Consecutive passes of one stage, recorded once, for each segment of a kind, or for each digit of a sort.
@@ -201,6 +252,12 @@ pub struct Step {
 impl FramePlan {
     pub fn runs(&self, pass: Pass) -> bool {
         self.passes.iter().any(|planned| planned.pass == pass && planned.skipped.is_none())
+    }
+
+    /// Whether passes have the code of an effect.
+    pub fn draws(&self, effect: Specialisation) -> bool {
+        let mut planned = self.specialisations.iter();
+        planned.any(|planned| planned.specialisation == effect && planned.skipped.is_none())
     }
 
     /// Adds `identify` to the plan, which tells which element each pixel shows.
@@ -291,18 +348,6 @@ impl Facts<'_> {
             && self.frame.reconstruction.shades(Shading::Splat)
     }
 
-    /// Whether surfaces are seen through fog.
-    fn has_fog(&self) -> bool {
-        let frame = self.frame;
-        self.scene.fog && frame.fog == Effect::On && frame.output == Output::Color
-    }
-
-    /// Whether the scene's surroundings are drawn.
-    fn has_environment(&self) -> bool {
-        let frame = self.frame;
-        self.scene.environment && frame.environment == Effect::On && frame.output == Output::Color
-    }
-
     /// Whether light is computed for each pixel. Splats that are lit one by one need none after they are blended.
     fn lights_pixels(&self) -> bool {
         let reconstruction = &self.frame.reconstruction;
@@ -324,11 +369,14 @@ pub fn scaled_size(shown: [u32; 2], scale: f64) -> [u32; 2] {
 pub fn plan(scene: &SceneFacts, frame: &FrameFacts, adapter: &AdapterFacts) -> FramePlan {
     let facts = Facts { scene, frame, adapter };
     let planned = |&pass: &Pass| PlannedPass { pass, skipped: pass.skipped(&facts) };
+    let left_out = |&specialisation: &Specialisation| PlannedSpecialisation {
+        specialisation,
+        skipped: specialisation.skipped(&facts),
+    };
     FramePlan {
         passes: Pass::ALL.iter().map(planned).collect(),
+        specialisations: Specialisation::ALL.iter().map(left_out).collect(),
         lights_pixels: facts.lights_pixels(),
-        has_fog: facts.has_fog(),
-        has_environment: facts.has_environment(),
     }
 }
 

@@ -13,6 +13,8 @@
 //!    each digit of a sort ([`Per`]);
 //! 7. the reasons to skip it. The pass runs if none of them holds.
 //!
+//! A second table lists the effects that have no pass of their own: passes have their code where a frame calls for it.
+//!
 //! Buffers are not listed here: a shader declares what it binds, and `passes/bindings.rs` finds the buffer by its name.
 
 use super::Facts;
@@ -94,6 +96,28 @@ macro_rules! pass_table {
     };
 }
 pub(crate) use pass_table;
+
+/// Hands the lines of the table of specialisations to the macro `$reader`. A line names the variant of [`super::Specialisation`], the override
+/// or the fragment of shaders that has the effect, and the reasons to leave the effect out, as in the table of passes.
+macro_rules! specialisation_table {
+    ($reader:ident) => {
+        $reader! {
+            Textures    "TEXTURES"     [SHAPES NO_TEXTURES];
+            Maps        "MAPS"         [SHAPES NO_MAPS];
+            Materials   "MATERIALS"    [NOT_COLOR NO_LIGHTS PLAIN_MATERIALS];
+            Specular    "SPECULAR"     [NOT_COLOR NO_LIGHTS NO_SPECULAR];
+            Physical    "PHYSICAL"     [NOT_COLOR NO_LIGHTS NO_PHYSICAL];
+            Emissive    "EMISSIVE"     [NOT_COLOR NO_LIGHTS NO_EMISSIVE];
+            Transmits   "TRANSMITS"    [NOT_COLOR OPAQUE_SCENE NO_TRANSMISSION];
+            PointLights "POINT_LIGHTS" [NOT_COLOR NO_LIGHTS NO_POINT_LIGHTS];
+            Environment "ENVIRONMENT"  [NOT_COLOR NO_ENVIRONMENT WITHOUT_ENVIRONMENT];
+            Fog         "FOG"          [NOT_COLOR NO_FOG WITHOUT_FOG];
+            Tone        "TONE"         [NOT_COLOR NO_LIGHTS PLAIN_TONE];
+            Edl         "EDL"          [NOT_COLOR WITHOUT_EDL];
+        }
+    };
+}
+pub(super) use specialisation_table;
 
 /// Part of a frame. Stages follow each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -193,10 +217,15 @@ pub enum Kind {
     Fill,
 }
 
-/// A reason to skip a pass.
+/// A reason to skip a pass, or to leave an effect out of the passes.
 pub(super) struct Reason {
     pub text: &'static str,
     pub holds: fn(&Facts) -> bool,
+}
+
+/// The first of some reasons that holds.
+pub(super) fn first(reasons: &[Reason], facts: &Facts) -> Option<&'static str> {
+    reasons.iter().find(|reason| (reason.holds)(facts)).map(|reason| reason.text)
 }
 
 /// Smallest number of chunks for which occlusion culling pays.
@@ -246,10 +275,26 @@ reasons! {
     WITHOUT_ENVIRONMENT: "the environment is off", |f| f.frame.environment == super::Effect::Off;
     UNSEEN_ENVIRONMENT: "the environment is not the scene's background", |f| !f.scene.shows_environment;
     OTHER_BACKGROUND: "the request has a background of its own", |f| f.frame.has_background;
-    BEHIND_FOG: "fog that is as dense everywhere hides it", |f| f.has_fog() && !f.scene.layered_fog;
+    BEHIND_FOG: "fog that is as dense everywhere hides it",
+        |f| super::Specialisation::Fog.skipped(f).is_none() && !f.scene.layered_fog;
     NO_FOG: "the scene has no fog", |f| !f.scene.fog;
     WITHOUT_FOG: "fog is off", |f| f.frame.fog == super::Effect::Off;
     EVEN_FOG: "the fog is as dense at every height", |f| !f.scene.layered_fog;
+    SHAPES: "the output is depth or id",
+        |f| matches!(f.frame.output, super::Output::Depth | super::Output::Id);
+    NO_TEXTURES: "no material has a texture", |f| !f.scene.looks.textures;
+    NO_MAPS: "no material has a map of normals, occlusion, reflection, emitted light or transmission",
+        |f| !f.scene.looks.maps;
+    NO_LIGHTS: "the scene has no lights", |f| f.scene.lights == 0;
+    PLAIN_MATERIALS: "no material shines, is metallic or rough, gives off light or is unlit, and no node has a material of its own",
+        |f| !f.scene.looks.has_looked_up();
+    NO_SPECULAR: "no material has a highlight of Phong's model", |f| !f.scene.looks.specular;
+    NO_PHYSICAL: "no material has a metallic value or a roughness", |f| !f.scene.looks.physical;
+    NO_EMISSIVE: "no material gives off light", |f| !f.scene.looks.emissive;
+    NO_TRANSMISSION: "no material transmits light", |f| !f.scene.looks.transmits;
+    NO_POINT_LIGHTS: "no light stands at a point", |f| !f.scene.looks.point_lights;
+    PLAIN_TONE: "exposure is 0, and there is no tone map", |f| !f.frame.is_toned;
+    WITHOUT_EDL: "eye-dome lighting is off", |f| f.frame.edl.is_none();
     NOT_AVERAGED: "pixels have one part", |f| !f.frame.is_averaged;
     EXPOSED: "the parts of pixels are averaged with the exposures", |f| f.frame.is_exposed;
     NOT_EXPOSED: "the frame is a single exposure: it has no aperture, and no path moves its camera while a shutter is open",

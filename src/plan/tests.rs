@@ -366,11 +366,97 @@ fn fog_of_layers_has_a_background_of_its_own() {
     assert_eq!(why(&even, Output::Color, Effect::On), Some("the fog is as dense at every height"));
     assert_eq!(why(&layered, Output::Color, Effect::Off), Some("fog is off"));
     assert_eq!(why(&layered, Output::Normal, Effect::On), Some("the output is not color"));
-    assert!(plan_of(&even, Output::Color, Effect::On).has_fog);
-    assert!(!plan_of(&even, Output::Color, Effect::Off).has_fog);
-    assert!(!plan_of(&even, Output::Depth, Effect::On).has_fog);
+    let has_fog =
+        |scene: &SceneFacts, output, fog| plan_of(scene, output, fog).draws(Specialisation::Fog);
+    assert!(has_fog(&even, Output::Color, Effect::On));
+    assert!(!has_fog(&even, Output::Color, Effect::Off));
+    assert!(!has_fog(&even, Output::Depth, Effect::On));
     let clear = SceneFacts { fog: false, ..even };
-    assert!(!plan_of(&clear, Output::Color, Effect::On).has_fog);
+    assert!(!has_fog(&clear, Output::Color, Effect::On));
+}
+
+/// Plans name every effect without a pass, and the scene's or the request's reason where it is left out.
+#[test]
+fn effects_without_a_pass_are_left_out_for_a_reason() {
+    use Specialisation::{Environment, Fog, Maps, Materials, Textures, Tone, Transmits};
+    let looks = Looks {
+        textures: true,
+        overrides: false,
+        translucent_overrides: false,
+        specular: true,
+        physical: true,
+        emissive: true,
+        transmits: true,
+        maps: true,
+        unlit: false,
+        point_lights: true,
+    };
+    let rich = SceneFacts {
+        counts: TRIANGLES,
+        lights: 1,
+        environment: true,
+        fog: true,
+        translucent: true,
+        looks,
+        ..Default::default()
+    };
+    let edl = Some(EyeDome { strength: 1.0, radius_px: 1.0 });
+    let frame = FrameFacts { edl, is_toned: true, ..FrameFacts::default() };
+    let why = |scene: &SceneFacts, frame: &FrameFacts| -> Vec<Option<&'static str>> {
+        let plan = super::plan(scene, frame, &WIDE);
+        let planned = plan.specialisations.iter().map(|planned| planned.specialisation);
+        assert!(planned.eq(Specialisation::ALL.iter().copied()));
+        plan.specialisations.iter().map(|planned| planned.skipped).collect()
+    };
+    let count = Specialisation::ALL.len();
+    assert_eq!(why(&rich, &frame), vec![None; count]);
+    let bare = FrameFacts { edl: None, is_toned: false, ..frame };
+    let plain = SceneFacts { lights: 1, translucent: true, ..Default::default() };
+    assert_eq!(
+        why(&plain, &bare),
+        [
+            "no material has a texture",
+            "no material has a map of normals, occlusion, reflection, emitted light or transmission",
+            "no material shines, is metallic or rough, gives off light or is unlit, and no node has a material of its own",
+            "no material has a highlight of Phong's model",
+            "no material has a metallic value or a roughness",
+            "no material gives off light",
+            "no material transmits light",
+            "no light stands at a point",
+            "the scene has no environment",
+            "the scene has no fog",
+            "exposure is 0, and there is no tone map",
+            "eye-dome lighting is off",
+        ]
+        .map(Some)
+    );
+    let of = |scene: &SceneFacts, frame: &FrameFacts, effect: Specialisation| {
+        let at = Specialisation::ALL.iter().position(|&one| one == effect).unwrap();
+        why(scene, frame)[at]
+    };
+    let unlit = SceneFacts { looks: Looks { unlit: true, ..Looks::default() }, ..rich };
+    assert_eq!(of(&unlit, &frame, Materials), None);
+    let dark = SceneFacts { lights: 0, ..rich };
+    for effect in [Materials, Tone] {
+        assert_eq!(of(&dark, &frame, effect), Some("the scene has no lights"));
+    }
+    let solid = SceneFacts { translucent: false, ..rich };
+    assert_eq!(of(&solid, &frame, Transmits), Some("the scene has no translucent triangles"));
+    let off = FrameFacts { environment: Effect::Off, fog: Effect::Off, ..frame };
+    assert_eq!(of(&rich, &off, Environment), Some("the environment is off"));
+    assert_eq!(of(&rich, &off, Fog), Some("fog is off"));
+    for (output, has_maps) in [(Output::Depth, false), (Output::Id, false), (Output::Normal, true)]
+    {
+        let frame = FrameFacts { output, ..frame };
+        for effect in [Textures, Maps] {
+            let expected = (!has_maps).then_some("the output is depth or id");
+            assert_eq!(of(&rich, &frame, effect), expected);
+        }
+        assert_eq!(of(&rich, &frame, Fog), Some("the output is not color"));
+    }
+    for &effect in Specialisation::ALL {
+        assert_eq!(serde_json::to_value(effect).unwrap(), effect.name());
+    }
 }
 
 #[test]

@@ -9,7 +9,8 @@ use glam::{DAffine3, DMat3, DVec3};
 use super::instances::Instances;
 use super::layout::{GpuEntry, GpuInstance, INSTANCE_GROUP, two_floats};
 use super::once::MadeOnce;
-use super::slots;
+use super::{Looks, slots};
+use crate::assets::Material;
 use crate::bake::environment::EnvironmentMap;
 use crate::bake::outline::Outline;
 use crate::bake::pack::{Counts, GeometryKind, Grid, PackError, PackedAsset, PackedGeometry};
@@ -207,6 +208,40 @@ impl SceneModel {
         };
         self.materials.iter().any(MaterialSpec::is_translucent)
             && self.instances.iter().any(is_translucent)
+    }
+
+    /// The materials of all assets.
+    pub fn asset_materials(&self) -> impl Iterator<Item = &Material> + Clone {
+        self.assets.iter().flat_map(|asset| &asset.packed.materials)
+    }
+
+    /// Kinds of appearance that it has.
+    pub fn looks(&self) -> Looks {
+        let black = [0.0; 3];
+        let (materials, own) = (self.asset_materials(), &self.materials);
+        let maps = materials.clone().any(Material::has_maps);
+        // Thin lines and ribbons have Phong's model, whatever their material. So has every surface of a node whose material has one of its keys.
+        let has_phong = self.counts().segments > 0 || own.iter().any(MaterialSpec::is_phong);
+        let shines = materials
+            .clone()
+            .any(|one| one.specular != black && (has_phong || one.physical.is_none()));
+        let is_polished = |spec: &MaterialSpec| spec.specular.is_some_and(|one| one != black);
+        let gives_off = |spec: &MaterialSpec| spec.emissive.is_some_and(|one| one != black);
+        Looks {
+            textures: maps || materials.clone().any(|one| one.base_texture.is_some()),
+            overrides: !own.is_empty() && self.instances.iter().any(|one| one.material.is_some()),
+            translucent_overrides: self.has_translucent_overrides(),
+            specular: shines || own.iter().any(is_polished),
+            physical: materials.clone().any(|one| one.physical.is_some())
+                || own.iter().any(MaterialSpec::is_physical),
+            emissive: materials.clone().any(|one| one.emissive != black)
+                || own.iter().any(gives_off),
+            transmits: materials.clone().any(Material::transmits)
+                || own.iter().any(MaterialSpec::transmits),
+            maps,
+            unlit: materials.clone().any(|one| one.unlit),
+            point_lights: self.lights.iter().any(|light| matches!(light, Light::Point { .. })),
+        }
     }
 
     /// Where its samples are and how wide.

@@ -10,7 +10,7 @@ use super::lists::Previous;
 use super::model::{AssetModel, SceneModel};
 use super::parts::{ChunkParts, parts_of};
 use super::{
-    Looks, PARTS_BYTES, Piece, Residency, ResidencyError, ResidentAsset, ResidentEnvironment,
+    PARTS_BYTES, Piece, Residency, ResidencyError, ResidentAsset, ResidentEnvironment,
     ResidentGeometry, ResidentScene, SceneMaterials, TEXEL_PAGES,
 };
 use crate::assets::{Encoding, Material};
@@ -193,43 +193,6 @@ fn gpu_chunk(
         delta_most: chunk.range.delta_most,
         kind: geometry.kind() as u32,
         flags,
-    }
-}
-
-/// The materials of all assets.
-fn materials_of(model: &SceneModel) -> impl Iterator<Item = &Material> + Clone {
-    model.assets.iter().flat_map(|asset| &asset.packed.materials)
-}
-
-fn looks(model: &SceneModel) -> Looks {
-    let black = [0.0; 3];
-    let materials = materials_of(model);
-    let maps = materials.clone().any(Material::has_maps);
-    let textures = maps || materials.clone().any(|material| material.base_texture.is_some());
-    let unlit = materials.clone().any(|material| material.unlit);
-    // Thin lines and ribbons have Phong's model, whatever their material. So has every surface of a node whose material has one of its keys.
-    let has_phong =
-        model.counts().segments > 0 || model.materials.iter().any(MaterialSpec::is_phong);
-    let shines =
-        materials.clone().any(|own| own.specular != black && (has_phong || own.physical.is_none()));
-    let physical = materials.clone().any(|own| own.physical.is_some())
-        || model.materials.iter().any(MaterialSpec::is_physical);
-    let emissive = materials.clone().any(|own| own.emissive != black)
-        || model.materials.iter().any(|spec| spec.emissive.is_some_and(|own| own != black));
-    let transmits = materials.clone().any(Material::transmits)
-        || model.materials.iter().any(MaterialSpec::transmits);
-    let polished = model.materials.iter().any(|spec| spec.specular.is_some_and(|s| s != black));
-    Looks {
-        textures,
-        overrides: model.instances.iter().any(|instance| instance.material.is_some()),
-        translucent_overrides: model.has_translucent_overrides(),
-        specular: shines || polished,
-        physical,
-        emissive,
-        transmits,
-        maps,
-        unlit,
-        point_lights: model.lights.iter().any(|light| matches!(light, Light::Point { .. })),
     }
 }
 
@@ -436,10 +399,11 @@ impl Residency {
             instance_end: listed.instance_end,
             light_count: lights.len() as u32,
             sample_count: model.counts().samples,
-            alpha_cut: materials_of(model).any(|material| material.alpha_cutoff.is_some()),
-            cut_outs: materials_of(model)
-                .any(|material| material.alpha_cutoff.is_some() && !material.translucent),
-            looks: looks(model),
+            alpha_cut: model.asset_materials().any(|own| own.alpha_cutoff.is_some()),
+            cut_outs: model
+                .asset_materials()
+                .any(|own| own.alpha_cutoff.is_some() && !own.translucent),
+            looks: model.looks(),
             asset_uids: model.assets.iter().map(|asset| asset.uid).collect(),
             materials,
         })

@@ -67,8 +67,8 @@ function timings(receipt) {
   cell.textContent = ms(receipt.total_ns);
   last.append(head, cell);
   $('passes').tHead.hidden = false;
-  const isSkipped = ([,,, pass]) => pass && !pass.ran, skipped = steps.filter(isSkipped);
-  const others = steps.filter(step => !isSkipped(step)).map(step => row(step, total));
+  const skipped = [...receipt.passes, ...receipt.specialisations].filter(one => !one.ran);
+  const others = steps.filter(([,,, pass]) => !pass || pass.ran).map(step => row(step, total));
   $('passes').tBodies[0].replaceChildren(...others, ...(skipped.length > 0 ? [folded(skipped)] : []), last);
   const known = steps.reduce((sum, [, ns]) => sum + (ns || 0), 0);
   $('steps-note').hidden = false;
@@ -92,7 +92,7 @@ function row([name, ns, isHost, pass], total) {
   return line;
 }
 
-// Skipped passes in one line that unfolds to the reasons. The line stays folded or unfolded from frame to frame.
+// Skipped passes and effects in one line that unfolds to the reasons. The line stays folded or unfolded from frame to frame.
 let isUnfolded = false;
 function folded(skipped) {
   const line = document.createElement('tr'), cell = document.createElement('td'), details = document.createElement('details');
@@ -101,11 +101,11 @@ function folded(skipped) {
   cell.colSpan = 2;
   details.open = isUnfolded;
   details.addEventListener('toggle', () => { isUnfolded = details.open; });
-  summary.textContent = skipped.length === 1 ? '1 pass was skipped' : `${skipped.length} passes were skipped`;
-  list.append(...skipped.map(([name,,, pass]) => {
+  summary.textContent = `skipped passes and effects: ${skipped.length}`;
+  list.append(...skipped.map(({ name, why }) => {
     const item = document.createElement('li'), what = document.createElement('b');
     item.dataset.skipped = what.textContent = name;
-    item.append(what, `: ${pass.why || 'no reason given'}`);
+    item.append(what, `: ${why || 'no reason given'}`);
     return item;
   }));
   details.append(summary, list);

@@ -63,6 +63,9 @@ fn a_frame_and_its_receipt() {
     let passes = receipt["passes"].as_array().unwrap();
     assert!(passes.iter().any(|pass| pass["ran"] == true));
     assert!(passes.iter().all(|pass| pass["ran"] == true || pass["why"].is_string()), "{passes:?}");
+    let mut effects = receipt["specialisations"].as_array().unwrap().iter();
+    let fog = effects.find(|effect| effect["name"] == "fog").unwrap();
+    assert_eq!(fog, &json!({ "name": "fog", "ran": false, "why": "the scene has no fog" }));
 
     let timing = reply.header("server-timing").unwrap();
     for name in ["queue", "batch", "readback", "encode", "total"] {

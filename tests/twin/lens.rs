@@ -1,10 +1,11 @@
-//! Depth of field: frames are the means of their exposures, and blur is what a thin lens makes. Images of stereo pairs: as seen from beside the eye.
+//! Depth of field and motion blur: frames are the means of their exposures, and blur is what a thin lens makes. Images of stereo pairs: as seen from beside the eye.
 
 use std::f64::consts::PI;
 
 use glam::{DVec2, DVec3, Vec3};
 use pointillist::accuracy::metrics::psnr;
-use pointillist::math::{View, exposures};
+use pointillist::engine::Pose;
+use pointillist::math::{Camera, Lens, View, exposures};
 use pointillist::oracle::{self, OracleScene};
 use pointillist::plan::{Antialias, BlurSamples, Pass, Reconstruct, Settings};
 use pointillist::scene::Splats;
@@ -13,7 +14,7 @@ use serde_json::json;
 
 use super::files::Shape;
 use super::lines::vtk;
-use super::stage::{Case, look};
+use super::stage::{Case, Frames, look};
 use super::verdict::{Tolerance, judge};
 
 const LENS: f64 = 0.25;
@@ -83,32 +84,70 @@ fn views(view: &View, count: u32, parts: u32) -> Vec<View> {
         .collect()
 }
 
+/// Ways to draw samples, in the engine and in the oracle.
+fn ways() -> [(Reconstruct, Option<Splats>); 2] {
+    [(Reconstruct::Points, None), (Reconstruct::Splats, Some(Splats::default()))]
+}
+
+/// Compares a blurred frame with the mean of the oracle's images from `views`. The `sharp` frame is that of a pinhole at the frame's own time.
+fn judge_mean(
+    case: &Case,
+    splats: Option<Splats>,
+    views: &[View],
+    blurred: &Frames,
+    sharp: &Frames,
+) {
+    assert!(!sharp.ran(Pass::Accumulate));
+    assert!(blurred.ran(Pass::Accumulate) && !blurred.ran(Pass::Average));
+    let scene = OracleScene { splats, ..case.reference.scene() };
+    let drawn: Vec<_> =
+        views.iter().map(|view| oracle::render(&scene, view, 1).to_rgba8()).collect();
+    let exact = mean(&drawn);
+    let [like, unlike] = [blurred, sharp].map(|frames| psnr(&exact, &frames.color).unwrap());
+    println!("{}, {splats:?}: {like:.1} dB; without blur {unlike:.1} dB", case.id);
+    assert!(like > 45.0 && like > unlike + 15.0, "{} {splats:?}: {like}", case.id);
+    // The other outputs are sharp.
+    assert_eq!((&blurred.id, &blurred.depth), (&sharp.id, &sharp.depth));
+    assert_eq!(blurred.normal, sharp.normal);
+}
+
 #[test]
 fn frames_are_means_of_what_the_oracle_shows() {
     let view = look([0.3, 0.4, 4.0], [0.0; 3], 45.0);
     for (name, background) in [("lens", "#304050"), ("lens-alpha", "#30405000")] {
         let case = case(name, background);
-        for (reconstruct, splats) in
-            [(Reconstruct::Points, None), (Reconstruct::Splats, Some(Splats::default()))]
-        {
-            let plain = case.draw_with(&view, Settings::drawn_as(reconstruct));
-            assert!(!plain.ran(Pass::Accumulate));
-            let frames = case.draw_with(&view, settings(reconstruct));
-            assert!(frames.ran(Pass::Accumulate) && !frames.ran(Pass::Average));
-            let scene = OracleScene { splats, ..case.reference.scene() };
-            let drawn: Vec<_> = views(&view, 16, 1)
-                .iter()
-                .map(|view| oracle::render(&scene, view, 1).to_rgba8())
-                .collect();
-            let exact = mean(&drawn);
-            let like = psnr(&exact, &frames.color).unwrap();
-            let sharp = psnr(&exact, &plain.color).unwrap();
-            println!("{name}, {reconstruct:?}: {like:.1} dB; a pinhole {sharp:.1} dB");
-            assert!(like > 45.0 && like > sharp + 15.0, "{name} {reconstruct:?}: {like}");
-            // The other outputs are those of the middle of the lens.
-            assert_eq!((&frames.id, &frames.depth), (&plain.id, &plain.depth));
-            assert_eq!(frames.normal, plain.normal);
+        for (reconstruct, splats) in ways() {
+            let sharp = case.draw_with(&view, Settings::drawn_as(reconstruct));
+            let blurred = case.draw_with(&view, settings(reconstruct));
+            judge_mean(&case, splats, &views(&view, 16, 1), &blurred, &sharp);
         }
+    }
+}
+
+/// A camera that moves sideways and turns while the shutter is open: each exposure shows the scene at its own time.
+#[test]
+fn moving_frames_are_means_of_what_the_oracle_shows() {
+    let case = case("shutter", "#304050");
+    let size @ (width, height) = (160, 120);
+    let camera = |time: f64| Camera {
+        eye: DVec3::new(0.05 + 0.5 * time, 0.4, 4.0),
+        target: DVec3::new(0.15 - 0.3 * time, 0.0, 0.0),
+        up: DVec3::Y,
+        lens: Lens::Perspective { fov_deg: 45.0 },
+    };
+    let view = |time: f64| camera(time).view(width, height).unwrap();
+    let views: Vec<View> = exposures(16).map(|one| view(one.time).moved(one.in_pixel)).collect();
+    let exposed: Vec<Camera> = exposures(16).map(|one| camera(one.time)).collect();
+    let pose = Pose::Moving { camera: camera(0.5), exposed: exposed.into() };
+    for (reconstruct, splats) in ways() {
+        let sharp = case.draw_with(&view(0.5), Settings::drawn_as(reconstruct));
+        let open = Settings {
+            shutter: 0.5.into(),
+            blur_samples: BlurSamples::Exposures16,
+            ..Settings::drawn_as(reconstruct)
+        };
+        let blurred = case.draw_from(&pose, size, open);
+        judge_mean(&case, splats, &views, &blurred, &sharp);
     }
 }
 

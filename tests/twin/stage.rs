@@ -199,8 +199,13 @@ impl Case {
 
     /// As [`Case::draw`], with settings.
     pub fn draw_with(&self, view: &View, settings: Settings) -> Frames {
-        let wide = frames(&WIDE, &self.id, view, settings);
-        let narrow = frames(&NARROW, &self.id, view, settings);
+        self.draw_from(&Pose::View(*view), (view.width, view.height), settings)
+    }
+
+    /// As [`Case::draw_with`], from any pose.
+    pub fn draw_from(&self, pose: &Pose, size: (u32, u32), settings: Settings) -> Frames {
+        let wide = frames_from(&WIDE, &self.id, pose, size, settings);
+        let narrow = frames_from(&NARROW, &self.id, pose, size, settings);
         for pass in &narrow.receipt.passes {
             let second = [
                 Pass::ProjectSamplesId,
@@ -286,6 +291,16 @@ pub fn look(eye: [f64; 3], target: [f64; 3], fov_deg: f64) -> View {
 }
 
 fn frames(engine: &Engine, scene: &str, view: &View, settings: Settings) -> Frames {
+    frames_from(engine, scene, &Pose::View(*view), (view.width, view.height), settings)
+}
+
+fn frames_from(
+    engine: &Engine,
+    scene: &str,
+    pose: &Pose,
+    (width, height): (u32, u32),
+    settings: Settings,
+) -> Frames {
     // The oracle uses eye-dome lighting only if a test requests it.
     let edl = if settings.edl == Edl::Auto { Edl::Off } else { settings.edl };
     // It draws lines with their true widths, unless a test asks for others.
@@ -297,9 +312,9 @@ fn frames(engine: &Engine, scene: &str, view: &View, settings: Settings) -> Fram
     let tickets = outputs.map(|output| {
         let request = FrameRequest {
             scene: scene.to_owned(),
-            pose: Pose::View(*view),
-            width: view.width,
-            height: view.height,
+            pose: pose.clone(),
+            width,
+            height,
             settings,
             output,
             format: ImageFormat::Raw,
@@ -311,8 +326,8 @@ fn frames(engine: &Engine, scene: &str, view: &View, settings: Settings) -> Fram
     let [color, depth, normal, id] = tickets.map(|ticket| ticket.wait().unwrap());
     let words = |bytes: &[u8]| -> Vec<[u8; 4]> { bytes.as_chunks().0.to_vec() };
     Frames {
-        width: view.width,
-        height: view.height,
+        width,
+        height,
         color: words(&color.bytes),
         depth: words(&depth.bytes).into_iter().map(f32::from_le_bytes).collect(),
         normal: words(&normal.bytes),

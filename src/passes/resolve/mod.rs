@@ -19,7 +19,7 @@ use super::frame::output_number;
 use super::pipelines::Constants;
 use super::recorder::{Launch, Recorder};
 use super::shaders::Choices;
-use crate::plan::Pass;
+use crate::plan::{Pass, Specialisation};
 use crate::residency::layout::FEW_LIGHTS;
 use crate::scene::recolor::Recolor;
 use crate::scene::{Tone, ToneMap};
@@ -33,17 +33,19 @@ pub fn tiles(recorder: &Recorder) -> Launch {
     Launch::Direct([width.div_ceil(TILE.0), height.div_ceil(TILE.1), recorder.task.count()])
 }
 
+/// Override of an effect, by whether the plan has it.
+fn switch(recorder: &Recorder, effect: Specialisation) -> (&'static str, u32) {
+    (effect.constant(), u32::from(recorder.task.plan.draws(effect)))
+}
+
 /// Overrides of `shared/phong` and of what asks pixels or splats for their materials.
 pub fn light_constants(recorder: &Recorder) -> Constants {
-    let (looks, lights) = (recorder.scene.looks, recorder.scene.light_count);
-    let mut constants = vec![
-        ("SPECULAR", u32::from(looks.specular)),
-        ("POINT_LIGHTS", u32::from(looks.point_lights)),
-        ("PHYSICAL", u32::from(looks.physical)),
-        ("EMISSIVE", u32::from(looks.emissive)),
-        ("MATERIALS", u32::from(looks.has_looked_up())),
-        ("FEW_LIGHTS", if lights > FEW_LIGHTS { 0 } else { lights }),
-    ];
+    use Specialisation::{Emissive, Materials, Physical, PointLights, Specular};
+    let lights = recorder.scene.light_count;
+    let mut constants = [Specular, PointLights, Physical, Emissive, Materials]
+        .map(|effect| switch(recorder, effect))
+        .to_vec();
+    constants.push(("FEW_LIGHTS", if lights > FEW_LIGHTS { 0 } else { lights }));
     constants.extend(tone_constants(recorder));
     if recorder.task.shadows.is_some() {
         constants.push(("SUN_MAPS", recorder.task.maps_per_sun()));
@@ -59,7 +61,7 @@ pub fn tone_constants(recorder: &Recorder) -> Constants {
         ToneMap::Neutral => 2,
         ToneMap::Aces => 3,
     };
-    vec![("TONE", recorder.task.tone.map_or(0, number))]
+    vec![(Specialisation::Tone.constant(), recorder.task.tone.map_or(0, number))]
 }
 
 /// Whether pixels are lit by the scene's surroundings.
@@ -72,7 +74,7 @@ fn choices(recorder: &Recorder) -> Choices {
     let layers = recorder.stage.is_windowed();
     let kept = !layers && recorder.task.plan.runs(Pass::WriteOutput);
     let shadows = recorder.task.shadows.is_some();
-    let maps = kept && recorder.scene.looks.maps;
+    let maps = kept && recorder.task.plan.draws(Specialisation::Maps);
     Choices { kept, layers, shadows, environment: surrounded(recorder), maps, ..Choices::default() }
 }
 
@@ -104,24 +106,24 @@ fn output_constants(recorder: &Recorder) -> Constants {
 
 /// Override of `shared/transmits`, of passes over translucent surfaces.
 fn layer_constants(recorder: &Recorder) -> Constants {
-    let transmits = recorder.stage.is_windowed() && recorder.scene.looks.transmits;
-    transmits.then_some(("TRANSMITS", 1)).into_iter().collect()
+    let transmits = switch(recorder, Specialisation::Transmits);
+    let has_override = recorder.stage.is_windowed() && transmits.1 > 0;
+    has_override.then_some(transmits).into_iter().collect()
 }
 
 fn constants(recorder: &Recorder) -> Constants {
-    let looks = recorder.scene.looks;
     let mut constants = if choices(recorder).kept {
         vec![
             ("OUTPUT", output_number(recorder.task.output)),
             ("SHADED", u32::from(recorder.task.plan.lights_pixels)),
-            ("OVERRIDES", u32::from(looks.overrides)),
+            ("OVERRIDES", u32::from(recorder.scene.looks.overrides)),
         ]
     } else {
         output_constants(recorder)
     };
     constants.extend(recolor_constants(recorder));
     constants.extend(layer_constants(recorder));
-    constants.push(("TEXTURES", u32::from(looks.textures)));
-    constants.push(("MAPS", u32::from(looks.maps)));
+    constants.push(switch(recorder, Specialisation::Textures));
+    constants.push(switch(recorder, Specialisation::Maps));
     constants
 }

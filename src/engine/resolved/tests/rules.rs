@@ -5,6 +5,7 @@ use serde_json::Value;
 
 use super::*;
 use crate::plan::{FramePlan, Reconstruct};
+use crate::residency::Looks;
 use crate::scene::random::SplitMix64;
 
 const ROUNDS: usize = 2000;
@@ -13,12 +14,13 @@ const CHANGES: usize = 4;
 const OUTPUTS: [Output; 4] = [Output::Color, Output::Depth, Output::Normal, Output::Id];
 /// A setting with the values that turn an effect on and off, and what shows in the plan of a frame with the effect.
 type Switch = (&'static str, [&'static str; 2], fn(&FramePlan) -> bool);
-const EFFECTS: [Switch; 7] = [
+const EFFECTS: [Switch; 8] = [
     ("shadows", ["on", "off"], |plan| plan.runs(Pass::ShadowMap)),
     ("ao", ["on", "off"], |plan| plan.runs(Pass::AmbientOcclusion)),
-    ("environment", ["on", "off"], |plan| plan.has_environment),
-    ("fog", ["on", "off"], |plan| plan.has_fog),
-    ("edl", ["on", "off"], |plan| plan.runs(Pass::WriteOutput)),
+    ("environment", ["on", "off"], |plan| plan.draws(Specialisation::Environment)),
+    ("fog", ["on", "off"], |plan| plan.draws(Specialisation::Fog)),
+    ("exposure", ["1", "0"], |plan| plan.draws(Specialisation::Tone)),
+    ("edl", ["on", "off"], |plan| plan.draws(Specialisation::Edl)),
     ("antialias", ["4x", "off"], |plan| plan.runs(Pass::Average) || plan.runs(Pass::Accumulate)),
     ("aperture", ["1", "0"], |plan| plan.runs(Pass::Accumulate)),
 ];
@@ -56,6 +58,7 @@ impl Ground {
             trees: false,
             translucent: triangles > 0 && some(),
             translucent_nodes: false,
+            looks: Looks::default(),
         };
         let adapter = AdapterFacts {
             atomics_64: some(),
