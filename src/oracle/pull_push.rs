@@ -10,15 +10,13 @@
 use glam::{DMat2, DVec2, DVec3};
 use rayon::prelude::*;
 
-use crate::assets::{Clip, Geometry, PointCloud};
 use crate::math::View;
 use crate::scene::{PullPush, PullPushWeights};
 
-use super::blend::{Blended, facing};
-use super::footprint::Disk;
-use super::prepare::{Prepared, PreparedItem};
+use super::blend::Blended;
+use super::patches::{Level, Patch, Steps};
+use super::prepare::Prepared;
 use super::shade::shade;
-use super::splats::{camera_from_view, clip, tangents};
 use super::surface::{self, Surface};
 use super::visibility::{Hit, pixel_ray};
 
@@ -43,32 +41,6 @@ const ABOUT: isize = 8;
 const ABOUT_WIDEN_PX: f64 = 0.1;
 /// Radii of a disk that its plane is followed for.
 const FOLLOWED: f64 = 1.5;
-/// Share of the camera plane's distance that disks reach at most.
-const STEEPEST: f64 = 0.8;
-/// Variance in square pixels below which an ellipse tells no slope.
-const THIN: f64 = 0.09;
-/// Least part of its radius that a clip line leaves of a disk.
-const LEAST_KEPT: f64 = 0.02;
-
-/// A patch: the surface as a pixel of a level knows it.
-#[derive(Clone, Copy, Debug)]
-struct Patch {
-    /// The sample that counts the most.
-    source: Hit,
-    /// 1 the outside, −1 the inside, 0 where normals do not tell.
-    facing: i8,
-    /// 1/z at the ellipse's centre, or z where rays are parallel.
-    value: f64,
-    at_px: DVec2,
-    /// Variance in square pixels; the outline is at the squared distance 1.
-    spread: DMat2,
-    /// Radius of the disks in pixels, if they faced the eye.
-    radius_px: f64,
-    /// Change of the value for each pixel; in perspective relative to the value.
-    slope: DVec2,
-    color: [f64; 3],
-    normal_world: DVec3,
-}
 
 /// A patch at a place: squared distance in half axes, 1/z, and 1/z behind the surface by the depth offset.
 #[derive(Clone, Copy)]
@@ -77,27 +49,6 @@ struct Seen {
     distance: f64,
     inverse: f64,
     behind: f64,
-}
-
-/// The rows of a level's patches.
-struct Level {
-    width: usize,
-    height: usize,
-    patches: Vec<Option<Patch>>,
-}
-
-impl Level {
-    fn at(&self, x: isize, y: isize) -> Option<Patch> {
-        let (x, y) = (usize::try_from(x).ok()?, usize::try_from(y).ok()?);
-        (x < self.width && y < self.height).then(|| self.patches[y * self.width + x])?
-    }
-}
-
-/// Facts that all steps need.
-struct Steps<'a> {
-    prepared: &'a Prepared<'a>,
-    view: &'a View,
-    settings: &'a PullPush,
 }
 
 /// The pixels of `view` that show samples before the `hits` of triangles.
@@ -127,127 +78,6 @@ pub fn pulled(
 }
 
 impl Steps<'_> {
-    fn focal_px(&self) -> f64 {
-        self.view.focal_px.y
-    }
-
-    /// Level 0.
-    fn samples(&self, hits: &[Option<Hit>]) -> Level {
-        let (width, height) = (self.view.width as usize, self.view.height as usize);
-        let mut nearest: Vec<Option<(Hit, u32)>> = vec![None; width * height];
-        let mut patches = vec![None; width * height];
-        for (number, item) in self.prepared.items.iter().enumerate() {
-            let Geometry::Points(cloud) = item.item.geometry else { continue };
-            for index in 0..cloud.positions.len() {
-                let Some((pixel, depth)) = self.pixel_of(item, cloud, index) else { continue };
-                let hit = Hit { depth, item: number as u32, index: index as u32 };
-                let key = |hit: &Hit, instance: u32| (instance, hit.index, hit.item);
-                let instance = item.item.instance;
-                let is_nearer = nearest[pixel].is_none_or(|(old, other)| {
-                    depth < old.depth
-                        || (depth == old.depth && key(&hit, instance) < key(&old, other))
-                });
-                if is_nearer && hits[pixel].is_none_or(|triangle| depth < triangle.depth) {
-                    nearest[pixel] = Some((hit, instance));
-                }
-            }
-        }
-        patches.par_iter_mut().zip(&nearest).for_each(|(patch, nearest)| {
-            *patch = nearest.and_then(|(hit, _)| self.disk(&hit));
-        });
-        Level { width, height, patches }
-    }
-
-    /// The pixel that a sample is drawn in: its own, or the nearest one of the border that its disk may reach.
-    fn pixel_of(
-        &self,
-        item: &PreparedItem<'_>,
-        cloud: &PointCloud,
-        index: usize,
-    ) -> Option<(usize, f64)> {
-        let view = self.view;
-        let position = item.to_view(*cloud.positions.get(index)?)?;
-        let depth = -position.z;
-        let centre = view.project(position)?;
-        if depth <= 0.0 || !self.prepared.shows(view, position) {
-            return None;
-        }
-        let size = DVec2::new(f64::from(view.width), f64::from(view.height));
-        let axes = self.axes(item, cloud, index, position);
-        let longest = axes[0].length().max(axes[1].length());
-        let reach = view.focal_px
-            * (f64::from(self.settings.splats.cutoff) * longest / view.divisor(depth));
-        let inside = centre.cmpge(DVec2::ZERO).all() && centre.cmplt(size).all();
-        let near = (centre + reach).cmpgt(DVec2::ZERO).all() && (centre - reach).cmplt(size).all();
-        (inside || near).then(|| {
-            let pixel = centre.clamp(DVec2::ZERO, size - 1.0).floor();
-            (pixel.y as usize * view.width as usize + pixel.x as usize, depth)
-        })
-    }
-
-    /// A disk's axes in camera space, one standard deviation long.
-    fn axes(
-        &self,
-        item: &PreparedItem<'_>,
-        cloud: &PointCloud,
-        index: usize,
-        position: DVec3,
-    ) -> [DVec3; 2] {
-        let way = camera_from_view(self.view.towards(position));
-        let width = f64::from(self.settings.splats.width);
-        tangents(item, cloud, index, way).map(|axis| axis * width)
-    }
-
-    /// The patch of a sample's disk.
-    fn disk(&self, hit: &Hit) -> Option<Patch> {
-        let view = self.view;
-        let item = &self.prepared.items[hit.item as usize];
-        let Geometry::Points(cloud) = item.item.geometry else { return None };
-        let index = hit.index as usize;
-        let position = item.to_view(*cloud.positions.get(index)?)?;
-        let cutoff = f64::from(self.settings.splats.cutoff);
-        let whole = self.axes(item, cloud, index, position);
-        let (centre, axes) =
-            kept_part(&clip(cloud, index), f64::from(self.settings.splats.width), cutoff, whole);
-        let centre = camera_from_view(position) + centre;
-        let radius = cutoff * axes[0].length().max(axes[1].length());
-        let radius_px = radius * self.focal_px() / view.divisor(centre.z) + 0.5;
-        let mut disk = Disk::new(centre, axes, view);
-        let slopes = match view.is_orthographic() {
-            true => DVec2::new(axes[0].z, axes[1].z),
-            false => {
-                let steep = cutoff * disk.tangents[0].z.hypot(disk.tangents[1].z);
-                let shrunk = (STEEPEST / steep.max(1e-20)).min(1.0);
-                disk.tangents = disk.tangents.map(|tangent| tangent * shrunk);
-                DVec2::new(disk.tangents[0].z, disk.tangents[1].z)
-            }
-        };
-        let outline = disk.perspective_by_dual(cutoff);
-        let jacobian = disk.jacobian();
-        let thin = DMat2::from_diagonal(DVec2::splat(THIN / (cutoff * cutoff)));
-        let sign = if view.is_orthographic() { 1.0 } else { -1.0 };
-        let slope = (jacobian * jacobian.transpose() + thin).inverse() * (jacobian * slopes * sign);
-        let shift = outline.centre_px - disk.centre_px;
-        let (value, slope) = if view.is_orthographic() {
-            (centre.z, slope)
-        } else {
-            let change = (1.0 + slope.dot(shift)).clamp(0.1, 10.0);
-            (change / centre.z, slope / change)
-        };
-        let surface = surface::at(self.prepared, view, hit, 0, 0);
-        Some(Patch {
-            source: *hit,
-            facing: facing(item, cloud, index, view),
-            value,
-            at_px: outline.centre_px,
-            spread: outline.variance() * (cutoff * cutoff),
-            radius_px,
-            slope,
-            color: surface.albedo,
-            normal_world: surface.normal_world,
-        })
-    }
-
     /// How far behind a patch others still count as the same surface: a share of its distance, or a length where rays are parallel.
     fn offset(&self, patch: &Patch) -> f64 {
         f64::from(self.settings.splats.depth_offset) * patch.radius_px / self.focal_px()
@@ -563,26 +393,4 @@ fn between(four: &[Option<Seen>; 4], place: DVec2, widen_px: f64, is_last: bool)
         (false, true) => near,
         (false, false) => [false; 4],
     }
-}
-
-/// The largest ellipses within the sides that clip lines keep of a disk: the centre relative to the disk's, and the axes.
-fn kept_part(clip: &Clip, width: f64, cutoff: f64, axes: [DVec3; 2]) -> (DVec3, [DVec3; 2]) {
-    let mut centre = DVec2::ZERO;
-    let mut part = DMat2::IDENTITY;
-    let lines: Vec<_> = clip.lines.iter().flatten().collect();
-    if !(clip.either && lines.len() == 2) {
-        for line in lines {
-            let normal = line.normal.as_dvec2();
-            let across = part.transpose() * normal;
-            let size = across.length().max(1e-6);
-            let n = across / size;
-            let offset = (f64::from(line.offset) / width - normal.dot(centre)) / size;
-            let begin = offset.clamp(-cutoff, cutoff * (1.0 - 2.0 * LEAST_KEPT));
-            centre += part * n * (0.5 * (begin + cutoff));
-            let shrunk = (cutoff - begin) / (2.0 * cutoff) - 1.0;
-            part += part * DMat2::from_cols(n * n.x, n * n.y) * shrunk;
-        }
-    }
-    let place = |at: DVec2| axes[0] * at.x + axes[1] * at.y;
-    (place(centre), [place(part.x_axis), place(part.y_axis)])
 }
