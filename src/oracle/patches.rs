@@ -41,17 +41,33 @@ pub struct Patch {
     pub normal_world: DVec3,
 }
 
-/// The rows of a level's patches.
+/// The rows of a level's patches. A rim of one pixel surrounds each level: rows and columns are numbered from −1. The rim of level 0 has
+/// samples beside the image whose disks may reach into it.
 pub struct Level {
+    /// Number of columns and rows without the rim.
     pub width: usize,
     pub height: usize,
+    /// Row by row, with the rim.
     pub patches: Vec<Option<Patch>>,
 }
 
 impl Level {
+    /// A level whose patches `patch` makes from their columns and rows.
+    pub fn of(
+        (width, height): (usize, usize),
+        patch: impl Fn(isize, isize) -> Option<Patch> + Sync,
+    ) -> Level {
+        let columns = width + 2;
+        let at =
+            |pixel: usize| patch((pixel % columns) as isize - 1, (pixel / columns) as isize - 1);
+        let patches = (0..columns * (height + 2)).into_par_iter().map(at).collect();
+        Level { width, height, patches }
+    }
+
     pub fn at(&self, x: isize, y: isize) -> Option<Patch> {
-        let (x, y) = (usize::try_from(x).ok()?, usize::try_from(y).ok()?);
-        (x < self.width && y < self.height).then(|| self.patches[y * self.width + x])?
+        let (x, y) = (usize::try_from(x + 1).ok()?, usize::try_from(y + 1).ok()?);
+        let is_there = x < self.width + 2 && y < self.height + 2;
+        is_there.then(|| self.patches[y * (self.width + 2) + x])?
     }
 }
 
@@ -70,12 +86,13 @@ impl Steps<'_> {
     /// Level 0.
     pub fn samples(&self, hits: &[Option<Hit>]) -> Level {
         let (width, height) = (self.view.width as usize, self.view.height as usize);
-        let mut nearest: Vec<Option<(Hit, u32)>> = vec![None; width * height];
-        let mut patches = vec![None; width * height];
+        // With the rim, as in a level.
+        let mut nearest: Vec<Option<(Hit, u32)>> = vec![None; (width + 2) * (height + 2)];
         for (number, item) in self.prepared.items.iter().enumerate() {
             let Geometry::Points(cloud) = item.item.geometry else { continue };
             for index in 0..cloud.positions.len() {
-                let Some((pixel, depth)) = self.pixel_of(item, cloud, index) else { continue };
+                let Some(((x, y), depth)) = self.pixel_of(item, cloud, index) else { continue };
+                let pixel = (y + 1) as usize * (width + 2) + (x + 1) as usize;
                 let hit = Hit { depth, item: number as u32, index: index as u32 };
                 let key = |hit: &Hit, instance: u32| (instance, hit.index, hit.item);
                 let instance = item.item.instance;
@@ -83,24 +100,27 @@ impl Steps<'_> {
                     depth < old.depth
                         || (depth == old.depth && key(&hit, instance) < key(&old, other))
                 });
-                if is_nearer && hits[pixel].is_none_or(|triangle| depth < triangle.depth) {
+                // Triangles hide nothing in the rim.
+                let is_inside =
+                    (0..width as isize).contains(&x) && (0..height as isize).contains(&y);
+                let triangle = is_inside.then(|| hits[y as usize * width + x as usize]).flatten();
+                if is_nearer && triangle.is_none_or(|triangle| depth < triangle.depth) {
                     nearest[pixel] = Some((hit, instance));
                 }
             }
         }
-        patches.par_iter_mut().zip(&nearest).for_each(|(patch, nearest)| {
-            *patch = nearest.and_then(|(hit, _)| self.disk(&hit));
-        });
-        Level { width, height, patches }
+        let disk = |nearest: &Option<(Hit, u32)>| nearest.and_then(|(hit, _)| self.disk(&hit));
+        Level { width, height, patches: nearest.par_iter().map(disk).collect() }
     }
 
-    /// The pixel that a sample is drawn in: its own, or the nearest one of the border that its disk may reach.
+    /// The column and row of the pixel that a sample is drawn in: its own, or the nearest one of the rim if its disk may reach into the
+    /// image from beside it.
     fn pixel_of(
         &self,
         item: &PreparedItem<'_>,
         cloud: &PointCloud,
         index: usize,
-    ) -> Option<(usize, f64)> {
+    ) -> Option<((isize, isize), f64)> {
         let view = self.view;
         let position = item.to_view(*cloud.positions.get(index)?)?;
         let depth = -position.z;
@@ -116,8 +136,8 @@ impl Steps<'_> {
         let inside = centre.cmpge(DVec2::ZERO).all() && centre.cmplt(size).all();
         let near = (centre + reach).cmpgt(DVec2::ZERO).all() && (centre - reach).cmplt(size).all();
         (inside || near).then(|| {
-            let pixel = centre.clamp(DVec2::ZERO, size - 1.0).floor();
-            (pixel.y as usize * view.width as usize + pixel.x as usize, depth)
+            let pixel = centre.floor().clamp(DVec2::NEG_ONE, size);
+            ((pixel.x as isize, pixel.y as isize), depth)
         })
     }
 
@@ -205,4 +225,57 @@ fn kept_part(clip: &Clip, width: f64, cutoff: f64, axes: [DVec3; 2]) -> (DVec3, 
     }
     let place = |at: DVec2| axes[0] * at.x + axes[1] * at.y;
     (place(centre), [place(part.x_axis), place(part.y_axis)])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{item, scene};
+    use super::super::tests_splats::{cloud, view};
+    use super::*;
+    use crate::scene::random::SplitMix64;
+    use crate::scene::{PullPushWeights, Splats};
+
+    /// Level 0 of disks seen by a view.
+    fn level_0(geometry: &Geometry, view: &View) -> Level {
+        let scene = scene(vec![item(geometry)]);
+        let prepared = Prepared::new(&scene, view);
+        let settings = PullPush { splats: Splats::default(), weights: PullPushWeights::default() };
+        let hits = vec![None; (view.width * view.height) as usize];
+        Steps { prepared: &prepared, view, settings: &settings }.samples(&hits)
+    }
+
+    /// The image keeps the samples that it has within a larger one.
+    #[test]
+    fn samples_beside_the_image_take_no_pixel_of_it() {
+        let (view, beside) = (view(), 20);
+        let mut random = SplitMix64::new(7);
+        // Their radius is 8 pixels.
+        let disks: Vec<[DVec3; 3]> = (0..1500)
+            .map(|_| {
+                let depth = random.range(1.0, 2.0);
+                let pixel = DVec2::new(random.range(-20.0, 84.0), random.range(-20.0, 68.0));
+                let [u, v] = [DVec3::X, DVec3::Y].map(|axis| axis * (0.04 * depth));
+                [view.ray(pixel) * depth, u, v]
+            })
+            .collect();
+        let geometry = Geometry::Points(cloud(&disks));
+        let part = level_0(&geometry, &view);
+        let larger = View {
+            width: view.width + 2 * beside,
+            height: view.height + 2 * beside,
+            principal_px: view.principal_px + f64::from(beside),
+            ..view
+        };
+        let whole = level_0(&geometry, &larger);
+        let source = |patch: Option<Patch>| patch.map(|patch| patch.source);
+        let mut shown = 0;
+        for (x, y) in (0..48).flat_map(|y| (0..64).map(move |x| (x, y))) {
+            let own = source(part.at(x, y));
+            assert_eq!(own, source(whole.at(x + 20, y + 20)), "{x}, {y}");
+            shown += usize::from(own.is_some());
+        }
+        // Most pixels of the rim have a sample whose disk reaches into the image.
+        let rim = part.patches.iter().flatten().count() - shown;
+        assert!(shown > 300 && rim > 100, "{shown} {rim}");
+    }
 }

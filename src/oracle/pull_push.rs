@@ -2,7 +2,7 @@
 //! lists.
 //!
 //! 1. *Level 0.* Each pixel keeps the nearest of the samples that project into it, if it is nearer than the triangle there. The sample becomes a
-//!    [`Patch`]: the ellipse that its disk is in the image, its plane, colour and normal.
+//!    [`Patch`]: the ellipse that its disk is in the image, its plane, colour and normal. Samples beside the image lie in a rim around it.
 //! 2. *Pull.* A pixel of the next level combines the patches of its four pixels that cover its centre and belong to the nearest surface there.
 //! 3. *Push.* From the coarsest level down, each pixel combines its patch with those of the four nearest pixels of the coarser level that cover
 //!    its centre. Level 0 gives the image. A pixel that stays open beside patches takes the disk of a sample near by that covers it.
@@ -147,19 +147,17 @@ impl Steps<'_> {
     }
 
     fn pull(&self, finer: &Level, number: usize) -> Level {
-        let (width, height) = (finer.width.div_ceil(2), finer.height.div_ceil(2));
         let size = (1u64 << number) as f64;
-        let patch = |pixel: usize| {
-            let (x, y) = (pixel % width, pixel / width);
+        let patch = |x: isize, y: isize| {
             let place = (DVec2::new(x as f64, y as f64) + 0.5) * size;
-            let (x, y) = (2 * x as isize, 2 * y as isize);
+            let (x, y) = (2 * x, 2 * y);
             let children = [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)];
             let children = children.map(|(x, y)| {
                 let patch = finer.at(x, y).filter(|patch| patch.radius_px >= LEAST_DISK * size)?;
                 Some(self.see(patch, place, WIDEN * size))
             });
             let is_covered = children.iter().flatten().any(|seen| seen.distance <= 1.0);
-            // Where nothing covers the centre, disks beside the image count: no coarser level reaches beyond the border.
+            // Where nothing covers the centre, disks beside the image count: the rim is narrower than they may be far away.
             let covers = |seen: &Seen| match is_covered {
                 true => seen.distance <= 1.0,
                 false => self.is_beside(&seen.patch),
@@ -173,8 +171,7 @@ impl Steps<'_> {
                 .collect();
             self.combine(&parts).map(|patch| Patch { facing: side, ..patch })
         };
-        let patches = (0..width * height).into_par_iter().map(patch).collect();
-        Level { width, height, patches }
+        Level::of((finer.width.div_ceil(2), finer.height.div_ceil(2)), patch)
     }
 
     /// Whether a patch's centre lies beside the image.
@@ -185,32 +182,29 @@ impl Steps<'_> {
 
     fn push(&self, own: &Level, coarser: &Level, number: usize) -> Level {
         let size = (1u64 << number) as f64;
-        let patch = |pixel: usize| {
-            let (x, y) = (pixel % own.width, pixel / own.width);
+        let patch = |x: isize, y: isize| {
             let place = (DVec2::new(x as f64, y as f64) + 0.5) * size;
-            let mine = own.patches[pixel];
+            let mine = own.at(x, y);
             let found = self.around(coarser, (x, y), place, WIDEN * size, mine.is_none(), false);
             let seen = mine.map(|patch| self.see(patch, place, WIDEN * size));
             let seen = seen.filter(|seen| is_seen(seen.inverse, seen.patch.facing, &found));
             let (parts, side) = self.parts(&found, seen.as_ref(), 1.0);
             self.combine(&parts).map(|patch| Patch { facing: side, ..patch })
         };
-        let patches = (0..own.patches.len()).into_par_iter().map(patch).collect();
-        Level { width: own.width, height: own.height, patches }
+        Level::of((own.width, own.height), patch)
     }
 
     /// The surface at a place, as the four nearest pixels of the coarser level know it.
     fn around(
         &self,
         coarser: &Level,
-        (x, y): (usize, usize),
+        (x, y): (isize, isize),
         place: DVec2,
         widen_px: f64,
         may_close: bool,
         is_last: bool,
     ) -> Around {
-        // The corner of the coarser level that the pixel touches.
-        let (left, above) = (x.div_ceil(2) as isize - 1, y.div_ceil(2) as isize - 1);
+        let (left, above) = (corner(x) - 1, corner(y) - 1);
         let share = |is_far: bool| if is_far { 0.75 } else { 0.25 };
         let (right, down) = (share(x % 2 == 0), share(y % 2 == 0));
         let four = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| {
@@ -261,17 +255,19 @@ impl Steps<'_> {
         let pixel = |pixel: usize| {
             let (x, y) = (pixel % image.width, pixel / image.width);
             let place = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-            let own = image.patches[pixel].map(|patch| self.see(patch, place, WIDEN_PX));
+            let at = (x as isize, y as isize);
+            let sample = image.at(at.0, at.1);
+            let own = sample.map(|patch| self.see(patch, place, WIDEN_PX));
             let is_elsewhere = own.is_some_and(|own| own.distance > 1.0);
             let own = own.filter(|_| !is_elsewhere);
-            let mut found = self.around(coarser, (x, y), place, WIDEN_PX, own.is_none(), true);
+            let mut found = self.around(coarser, at, place, WIDEN_PX, own.is_none(), true);
             if own.is_none() && found.front == 0.0 && found.is_near {
-                found = self.about(image, (x, y), place).unwrap_or(found);
+                found = self.about(image, at, place).unwrap_or(found);
             }
             // The sample's own depth, not that of its plane.
             let own = own.map(|own| Seen { inverse: 1.0 / own.patch.source.depth, ..own });
             let own_seen = own.filter(|own| is_seen(own.inverse, own.patch.facing, &found));
-            let triangle = hits[pixel].filter(|_| image.patches[pixel].is_none());
+            let triangle = hits[pixel].filter(|_| sample.is_none());
             let hides = triangle.is_some_and(|hit| 1.0 / hit.depth >= found.front);
             if own_seen.is_none() && (found.front == 0.0 || hides) {
                 return None;
@@ -292,13 +288,12 @@ impl Steps<'_> {
             let source = own_seen.map_or(patch.source, |own| own.patch.source);
             Some(self.lit(&Patch { source, ..patch }, self.view.at_depth(ray, depth), depth))
         };
-        (0..image.patches.len()).into_par_iter().map(pixel).collect()
+        (0..hits.len()).into_par_iter().map(pixel).collect()
     }
 
     /// The disk of a sample near by that covers a pixel: of the nearest surface, the one whose middle the pixel is closest to.
-    fn about(&self, image: &Level, (x, y): (usize, usize), place: DVec2) -> Option<Around> {
-        // The corner of level 1 that the pixel touches.
-        let (right, down) = (2 * x.div_ceil(2) as isize, 2 * y.div_ceil(2) as isize);
+    fn about(&self, image: &Level, (x, y): (isize, isize), place: DVec2) -> Option<Around> {
+        let (right, down) = (2 * corner(x), 2 * corner(y));
         let pixels = (-ABOUT..ABOUT).flat_map(|y| (-ABOUT..ABOUT).map(move |x| (x, y)));
         let disks = pixels.filter_map(|(x, y)| image.at(right + x, down + y));
         let covering = disks
@@ -345,6 +340,11 @@ struct Around {
     side: i8,
     /// Whether there are patches, even if none covers the place.
     is_near: bool,
+}
+
+/// The corner of the coarser level that a pixel touches, along one axis.
+fn corner(x: isize) -> isize {
+    (x + 1).div_euclid(2)
 }
 
 fn front(four: &[Option<Seen>; 4], covers: impl Fn(&Seen) -> bool) -> (f64, i8) {

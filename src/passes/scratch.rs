@@ -231,7 +231,7 @@ impl Scratch {
     pub fn reserve(&mut self, gpu: &Gpu, scene: &ResidentScene, task: &FrameTask) {
         let ((width, height), views) = (task.size(), u64::from(task.count()));
         let pixels = task.pixels();
-        self.visibility.reserve(gpu, pixels * 8);
+        self.visibility.reserve(gpu, task.visibility_pixels() * 8);
         self.pixels.reserve(gpu, pixels * 4);
         if task.plan.runs(Pass::WriteOutput) {
             self.colors.reserve(gpu, pixels * 8);

@@ -278,6 +278,24 @@ fn triangles_at_the_border_are_hidden_as_by_the_oracle() {
     assert_eq!(of_border(row - 1, 2), view.height as usize);
 }
 
+/// A wall beside a ball that ends three pixels beyond the border. Near its outline the ball's disks are seen edge-on. Their radii reach over the
+/// border, and their ellipses do not.
+#[test]
+fn samples_beside_the_image_hide_nothing_in_it() {
+    let scene = json!({
+        "assets": { "c": { "file": "c.ply" }, "t": { "file": "t.ply" } },
+        "nodes": [{ "asset": "c" }, { "asset": "t" }]
+    });
+    let (u, v) = (DVec3::new(12.0, 0.0, 0.0), DVec3::new(0.0, 12.0, 0.0));
+    let wall = Shape::quad(DVec3::new(-6.0, -6.0, -1.2), u, v, 1.0);
+    let files = [("c.ply", ball(1500, 18).ply()), ("t.ply", wall.ply())];
+    let case = Case::new("pulled-beside-wall", &files, &scene);
+    let frames = case.draw_with(&look([2.63, 0.0, 3.0], [2.63, 0.0, 0.0], 40.0), pull_push());
+    let count = |id: u32| frames.id.iter().filter(|&&shown| shown == id).count();
+    let (open, of_ball) = (count(0), count(1));
+    assert!(open == 0 && of_ball <= 8, "{open} pixels are open, {of_ball} show the ball");
+}
+
 /// Samples beyond the border of the image fill what they cover of it.
 #[test]
 fn disks_reach_into_the_image_from_beside_it() {

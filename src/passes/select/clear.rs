@@ -18,7 +18,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let ((width, height), views) = (task.size(), u64::from(task.count()));
     let pixels = views * u64::from(width) * u64::from(height);
     let mut buffers = vec![
-        (&scratch.visibility, Some(pixels * 8)),
+        (&scratch.visibility, Some(task.visibility_pixels() * 8)),
         (&scratch.stats, Some(views * size_of::<GpuStats>() as u64)),
         (&scratch.dispatches, None),
         (&scratch.portions, None),
