@@ -69,6 +69,7 @@ use crate::scene::{
 };
 
 pub use environment::Surroundings;
+pub use patches::{Level, Patch, Pyramid};
 
 use blend::Blended;
 use prepare::Prepared;
@@ -184,6 +185,15 @@ pub fn render(scene: &OracleScene<'_>, view: &View, supersample: u32) -> OracleF
         id: shown.iter().map(id).collect(),
         color,
     }
+}
+
+/// Makes the levels of a view that pull-push reconstructs surfaces from, so that a renderer's can be compared with them one by one. Each step
+/// starts from the levels that are `given`, or else from the oracle's own. `None` without [`OracleScene::pull_push`].
+pub fn pyramid(scene: &OracleScene<'_>, view: &View, given: Option<&Pyramid>) -> Option<Pyramid> {
+    let settings = scene.pull_push.as_ref()?;
+    let prepared = &Prepared::new(scene, view);
+    let hits = visibility::resolve(prepared, view, 1, false);
+    Some(patches::Steps { prepared, view, settings }.pyramid(&hits, given))
 }
 
 /// The hit or the blended splats of a pixel.

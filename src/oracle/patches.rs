@@ -22,7 +22,7 @@ const THIN: f64 = 0.09;
 const LEAST_KEPT: f64 = 0.02;
 
 /// A patch: the surface as a pixel of a level knows it.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Patch {
     /// The sample that counts the most.
     pub source: Hit,
@@ -30,6 +30,7 @@ pub struct Patch {
     pub facing: i8,
     /// 1/z at the ellipse's centre, or z where rays are parallel.
     pub value: f64,
+    /// The ellipse's centre.
     pub at_px: DVec2,
     /// Variance in square pixels; the outline is at the squared distance 1.
     pub spread: DMat2,
@@ -37,12 +38,15 @@ pub struct Patch {
     pub radius_px: f64,
     /// Change of the value for each pixel; in perspective relative to the value.
     pub slope: DVec2,
+    /// Linear RGB.
     pub color: [f64; 3],
+    /// Unit length, or zero.
     pub normal_world: DVec3,
 }
 
 /// The rows of a level's patches. A rim of one pixel surrounds each level: rows and columns are numbered from −1. The rim of level 0 has
 /// samples beside the image whose disks may reach into it.
+#[derive(Clone, Debug)]
 pub struct Level {
     /// Number of columns and rows without the rim.
     pub width: usize,
@@ -64,11 +68,21 @@ impl Level {
         Level { width, height, patches }
     }
 
+    /// The patch in a column and row; none beyond the rim.
     pub fn at(&self, x: isize, y: isize) -> Option<Patch> {
         let (x, y) = (usize::try_from(x + 1).ok()?, usize::try_from(y + 1).ok()?);
         let is_there = x < self.width + 2 && y < self.height + 2;
         is_there.then(|| self.patches[y * (self.width + 2) + x])?
     }
+}
+
+/// The levels of an image, the finest first.
+#[derive(Clone, Debug)]
+pub struct Pyramid {
+    /// Those that pull makes, the image first.
+    pub pulled: Vec<Level>,
+    /// Those that push completes, from level 1 on. The image is completed where it is lit.
+    pub pushed: Vec<Level>,
 }
 
 /// Facts that all steps need.

@@ -14,7 +14,7 @@ use crate::math::View;
 use crate::scene::{PullPush, PullPushWeights};
 
 use super::blend::Blended;
-use super::patches::{Level, Patch, Steps};
+use super::patches::{Level, Patch, Pyramid, Steps};
 use super::prepare::Prepared;
 use super::shade::shade;
 use super::surface::{self, Surface};
@@ -59,25 +59,36 @@ pub fn pulled(
     hits: &[Option<Hit>],
 ) -> Vec<Option<Blended>> {
     let steps = Steps { prepared, view, settings };
-    let mut levels = vec![steps.samples(hits)];
-    while let Some(last) = levels.last()
-        && (levels.len() == 1 || last.width * last.height > 1)
-    {
-        let next = steps.pull(last, levels.len());
-        levels.push(next);
-    }
-    let mut coarser = levels.pop();
-    while levels.len() > 1 {
-        let (Some(above), Some(own)) = (&coarser, levels.pop()) else { break };
-        coarser = Some(steps.push(&own, above, levels.len()));
-    }
-    match (levels.pop(), coarser) {
-        (Some(image), Some(above)) => steps.finish(&image, &above, hits),
-        _ => vec![None; hits.len()],
-    }
+    let Pyramid { pulled, pushed } = steps.pyramid(hits, None);
+    // There are at least two levels.
+    steps.finish(&pulled[0], &pushed[0], hits)
 }
 
 impl Steps<'_> {
+    /// Makes all levels. Each step starts from the levels that are `given`, or else from those made before.
+    pub fn pyramid(&self, hits: &[Option<Hit>], given: Option<&Pyramid>) -> Pyramid {
+        let mut pulled = vec![self.samples(hits)];
+        while let Some(last) = pulled.last()
+            && (pulled.len() == 1 || last.width * last.height > 1)
+        {
+            let finer = given.map_or(last, |given| &given.pulled[pulled.len() - 1]);
+            let next = self.pull(finer, pulled.len());
+            pulled.push(next);
+        }
+        // The coarsest level is complete.
+        let mut pushed: Vec<Level> = pulled.last().cloned().into_iter().collect();
+        for number in (1..pulled.len() - 1).rev() {
+            let (own, coarser) = match given {
+                Some(given) => (&given.pulled[number], &given.pushed[number]),
+                None => (&pulled[number], &pushed[pushed.len() - 1]),
+            };
+            let next = self.push(own, coarser, number);
+            pushed.push(next);
+        }
+        pushed.reverse();
+        Pyramid { pulled, pushed }
+    }
+
     /// How far behind a patch others still count as the same surface: a share of its distance, or a length where rays are parallel.
     fn offset(&self, patch: &Patch) -> f64 {
         f64::from(self.settings.splats.depth_offset) * patch.radius_px / self.focal_px()

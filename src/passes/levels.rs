@@ -1,5 +1,8 @@
 //! Levels of the pyramid that pull-push makes of an image (Marroquim et al. 2008, §3).
 
+/// Bytes of a patch in each buffer of pull-push.
+const PATCH_BYTES: u64 = 8;
+
 /// Sizes of the levels, the image first; a pixel of a level stands for 2 × 2 of the level before it. A rim of one pixel surrounds each
 /// level, for samples beside the image.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -38,6 +41,11 @@ impl Levels {
     /// Pixels of all levels, with their rims.
     pub fn pixels(&self) -> u64 {
         self.first(self.count())
+    }
+
+    /// Bytes of all levels in each of the buffers of pull-push.
+    pub fn bytes(&self) -> u64 {
+        self.pixels() * PATCH_BYTES
     }
 
     /// The words of `LevelUse` in `shared/patches` for each level that has a coarser one.

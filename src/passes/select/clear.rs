@@ -4,9 +4,7 @@
 use crate::gpu::shader::ShaderError;
 use crate::passes::Levels;
 use crate::passes::recorder::Recorder;
-use crate::passes::scratch::{
-    BACKGROUND_BYTES, PAINTED_BYTES, PATCH_BYTES, SLABS_BYTES, cursors_bytes,
-};
+use crate::passes::scratch::{BACKGROUND_BYTES, PAINTED_BYTES, SLABS_BYTES, cursors_bytes};
 use crate::plan::Pass;
 use crate::residency::layout::GpuStats;
 
@@ -40,7 +38,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     }
     if task.plan.runs(Pass::Pull) {
         // Pixels without a sample have no patch; coarser levels are written whole.
-        let bytes = views * Levels::of((width, height)).pixels() * PATCH_BYTES;
+        let bytes = views * Levels::of((width, height)).bytes();
         buffers.push((&scratch.patches[0], Some(bytes)));
     }
     let image = scratch.pixels.buffer().raw();
