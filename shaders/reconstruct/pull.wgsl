@@ -11,7 +11,7 @@
 @compute @workgroup_size(64)
 fn pull(@builtin(global_invocation_id) invocation: vec3<u32>) {
     begin_view(invocation.z);
-    let at = vec2<i32>(invocation.xy);
+    let at = vec2<i32>(invocation.xy) - vec2<i32>(1);
     let drawn = drawn_pixels();
     if !is_within(at, level_bounds(drawn, level.level + 1u)) {
         return;
@@ -38,8 +38,8 @@ fn pull(@builtin(global_invocation_id) invocation: vec3<u32>) {
     store_patch(patch_index(at, level.level + 1u, level.first_coarser), one);
 }
 
-// Whether a patch's centre lies beside the image. Levels store no pixels outside of the image, so pixels along its border have to
-// keep patches whose centres lie outside.
+// Whether a patch's centre lies beside the image. Pixels along the border have to keep such a patch: the rim is narrower than the patch may be
+// far away.
 fn is_beside(one: Patch, centre: vec2<f32>) -> bool {
     let place = centre + one.at;
     return one.word != 0u && (any(place < vec2<f32>(0.0)) || any(place > vec2<f32>(frame.size_px)));

@@ -101,24 +101,23 @@ fn record_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoca
             continue;
         }
         let at = place_of(positions[sample], slot.row_x, slot.row_y, slot.row_z);
-        let pixel = landing(at, sample, longest);
-        if pixel == NO_PIXEL {
+        let place = landing(at, sample, longest);
+        if place == NO_PIXEL {
             continue;
         }
         let word = ~((slot.index << SLOT_SHIFT) | i);
-        if visibility[pixel].x != word {
+        if visibility[place].x != word {
             continue;
         }
         var one = disk_patch(slot, i);
         one.word = word;
-        let own = pixel - frame.first_pixel;
-        let column = vec2<u32>(own % frame.size_px.x, own / frame.size_px.x);
-        one.at -= vec2<f32>(column) + vec2<f32>(0.5);
+        let pixel = landing_pixel(at.image);
+        one.at -= vec2<f32>(pixel) + vec2<f32>(0.5);
         if COLORS || NORMALS {
             let paint = paint_of(slot, shared_paint, i);
             one.color = paint.color;
             one.normal = 2.0 * paint.normal - vec3<f32>(1.0);
         }
-        store_patch(frame.view * level.total + own, one);
+        store_patch(patch_index(pixel, 0u, 0u), one);
     }
 }

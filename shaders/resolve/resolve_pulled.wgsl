@@ -24,7 +24,7 @@ fn resolve_pulled(@builtin(global_invocation_id) invocation: vec3<u32>) {
     begin_view(invocation.z);
     let corner = vec2<i32>(invocation.xy);
     let drawn = drawn_pixels();
-    let bounds = level_bounds(drawn, 0u);
+    let bounds = vec4<i32>(drawn);
     if !corner_is_within(corner, bounds) {
         return;
     }
@@ -36,7 +36,7 @@ fn resolve_pulled(@builtin(global_invocation_id) invocation: vec3<u32>) {
     var counts = a.xy + b.xy + c.xy + d.xy;
     let is_open = vec4<u32>(a.z, b.z, c.z, d.z) != vec4<u32>(0u);
     if any(is_open) {
-        let filled = fill_open(corner, is_open, bounds);
+        let filled = fill_open(corner, is_open, level_bounds(drawn, 0u));
         counts += vec2<u32>(filled);
     }
     if counts.x != 0u {
@@ -58,7 +58,7 @@ fn resolve_one(corner: vec2<i32>, side: vec2<i32>, around: Around, bounds: vec4<
     let shown = visibility[pixel];
     var own = load_patch(patch_index(at, 0u, 0u), place);
     let of_own = shape_of(own, WIDEN_PX);
-    // Drawn here, but its disk is elsewhere: beside the image, or on the other side of a clip line.
+    // Drawn here, but its disk is elsewhere: on the other side of a clip line.
     let is_elsewhere = own.word != 0u && distance_2(of_own, own.at - place) > 1.0;
     if is_elsewhere {
         own.word = 0u;

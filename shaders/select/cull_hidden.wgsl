@@ -27,6 +27,8 @@ override COUNTS_SAMPLES: bool = false;
 override AGAIN: bool = false;
 // Samples are drawn as splats.
 override SPLATS: bool = false;
+// Samples beside the image are drawn in its rim, where nothing hides them; see shared/landing.
+override EXPANDED: bool = false;
 // Splats of all samples are discs of one size.
 override DISCS: bool = false;
 
@@ -38,13 +40,14 @@ const MOST_ACROSS: u32 = 6u;
 // Boxes up to this many pixels are tested pixel by pixel.
 const MOST_PIXELS: u32 = 8u;
 
-// Whether every pixel within bounds shows something nearer.
-fn is_hidden(bounds: BoxBounds) -> bool {
+// Whether every pixel within bounds shows something nearer. `expanded`: what lies beside the image is drawn as well.
+fn is_hidden(bounds: BoxBounds, expanded: bool) -> bool {
     let size = vec2<f32>(frame.size_px);
     if any(bounds.most < vec2<f32>(0.0)) || any(bounds.least > size) {
         return true;
     }
-    if bounds.near == 0.0 {
+    let is_beside = any(bounds.least < vec2<f32>(0.0)) || any(bounds.most > size);
+    if bounds.near == 0.0 || (expanded && is_beside) {
         return false;
     }
     let low = vec2<u32>(clamp(bounds.least, vec2<f32>(0.0), size - vec2<f32>(1.0)));
@@ -89,6 +92,7 @@ fn shown_parts(slot: Slot, chunk: Chunk, tester: u32) -> u32 {
     let at = placed[frame.first_instance + slot.instance];
     let whole = grid_box(at, chunk.origin, chunk.extent);
     let is_splats = SPLATS && chunk.kind == SAMPLES;
+    let expanded = EXPANDED && chunk.kind == SAMPLES;
     let is_lines = chunk.kind == SEGMENTS;
     // Lines of a part may be thinner than all others of the chunk, but none is thinner than asked for.
     let least_reach = select(0.0, least_line_reach(whole), is_lines);
@@ -101,7 +105,7 @@ fn shown_parts(slot: Slot, chunk: Chunk, tester: u32) -> u32 {
     let widened = Box(whole.centre, whole.x, whole.y, whole.z, whole.slack + reach);
     let count = (chunk.count + PART - 1u) / PART;
     // The test of a whole slot saves those of its parts, unless they are made side by side.
-    let stop = select(count, 0u, TESTERS == 1u && is_hidden(drawn_bounds(widened, filter_px)));
+    let stop = select(count, 0u, TESTERS == 1u && is_hidden(drawn_bounds(widened, filter_px), expanded));
     var shown = 0u;
     for (var own = tester; own < stop; own += TESTERS) {
         if ((slot.parts >> own) & 1u) == 0u {
@@ -110,7 +114,7 @@ fn shown_parts(slot: Slot, chunk: Chunk, tester: u32) -> u32 {
         let low = parts[slot.chunk][own].low;
         var part = part_box(whole, low, parts[slot.chunk][own].high);
         part.slack += max(reach * select(longest_of(low), 1.0, DISCS && !is_lines), least_reach);
-        if !is_hidden(drawn_bounds(part, filter_px)) {
+        if !is_hidden(drawn_bounds(part, filter_px), expanded) {
             shown |= 1u << own;
         }
     }

@@ -1,8 +1,8 @@
 // Where a sample lies in the image, and the one pixel that it is drawn in.
 //!include shared/kernel
 
-// Samples stand for disks, from which pull-push reconstructs the surface: a sample beside the image whose disk reaches into the image is
-// drawn at the border.
+// Samples stand for disks, from which pull-push reconstructs the surface: a sample beside the image whose disk may reach into the image is
+// drawn in the rim, which is one pixel wide and surrounds the image. There it hides nothing that the image shows.
 override EXPANDED: bool = false;
 
 // A sample's position in the image.
@@ -37,14 +37,30 @@ fn footprint_px(sample: u32, longest: f32, z: f32, seen: f32) -> f32 {
 
 const NO_PIXEL: u32 = 0xffffffffu;
 
-// The pixel that a sample is drawn in, counted from the first one of all views.
+// The pixel of the image or of the rim that is nearest to a place.
+fn landing_pixel(image: vec2<f32>) -> vec2<i32> {
+    return vec2<i32>(clamp(floor(image), vec2<f32>(-1.0), vec2<f32>(frame.size_px)));
+}
+
+// Where the visibility buffer has a pixel of the rim: behind the images of all views. A rim's rows come first, then what lies left and right
+// of each row of the image.
+fn rim_place(pixel: vec2<i32>) -> u32 {
+    let size = vec2<i32>(frame.size_px);
+    var place = select(size.x + 2, 0i, pixel.y < 0) + pixel.x + 1;
+    if pixel.y >= 0 && pixel.y < size.y {
+        place = 2 * (size.x + 2 + pixel.y) + select(1i, 0i, pixel.x < 0);
+    }
+    let rim = 2 * (size.x + size.y + 2);
+    return frame.views * frame.size_px.x * frame.size_px.y + frame.view * u32(rim) + u32(place);
+}
+
+// The place in the visibility buffer of the pixel that a sample is drawn in.
 fn landing(at: Place, sample: u32, longest: f32) -> u32 {
     if !(at.z > NEAREST) {
         return NO_PIXEL;
     }
     let size = vec2<f32>(frame.size_px);
     let is_inside = all(at.image >= vec2<f32>(0.0)) && all(at.image < size);
-    var pixel = at.image;
     if !is_inside {
         if !EXPANDED {
             return NO_PIXEL;
@@ -53,12 +69,14 @@ fn landing(at: Place, sample: u32, longest: f32) -> u32 {
         if any(at.image + reach <= vec2<f32>(0.0)) || any(at.image - reach >= size) {
             return NO_PIXEL;
         }
-        pixel = clamp(at.image, vec2<f32>(0.0), size - vec2<f32>(1.0));
     }
     if !place_is_shown(at_depth(at.image, at.z)) {
         return NO_PIXEL;
     }
-    return frame.first_pixel + u32(pixel.y) * frame.size_px.x + u32(pixel.x);
+    if EXPANDED && !is_inside {
+        return rim_place(landing_pixel(at.image));
+    }
+    return frame.first_pixel + u32(at.image.y) * frame.size_px.x + u32(at.image.x);
 }
 
 // Length in camera space of a chunk's longest axis, by the columns of the map from its coordinates.

@@ -7,10 +7,10 @@ fn drawn_pixels() -> vec4<u32> {
     return vec4<u32>(frame.size_px - before, end);
 }
 
-// The pixels of a level that hold these.
+// The pixels of a level that hold these, and one more on each side: the level's rim, or nothing.
 fn level_bounds(drawn: vec4<u32>, number: u32) -> vec4<i32> {
     let rounded = (drawn.zw + vec2<u32>((1u << number) - 1u)) >> vec2<u32>(number);
-    return vec4<i32>(vec2<i32>(drawn.xy >> vec2<u32>(number)), vec2<i32>(rounded));
+    return vec4<i32>(vec2<i32>(drawn.xy >> vec2<u32>(number)) - vec2<i32>(1), vec2<i32>(rounded) + vec2<i32>(1));
 }
 
 fn is_within(at: vec2<i32>, bounds: vec4<i32>) -> bool {

@@ -11,12 +11,15 @@
 // 4. Going down, patches are combined with those that a level has already. Otherwise a patch that covers a part of
 //    a pixel's square would hide the neighbouring patches from finer levels.
 // 5. A place between patches that lie on opposite sides is covered a little beyond their outlines.
+//
+// A rim of one pixel surrounds each level: rows and columns are numbered from -1. The rim of level 0 has samples beside the image whose disks
+// may reach into it. Their patches act through coarser levels, as those of all other samples do, and only where their ellipses cover the image.
 //!include shared/halves
 
-// Which level a pass makes. Pixels of all levels lie one behind the other, level 0 first.
+// Which level a pass makes. Pixels of all levels lie one behind the other, level 0 first, each with its rim.
 struct LevelUse {
     level: u32,
-    // The first pixels of the level and of the next coarser one, and the pixels of all levels, of one view.
+    // The first pixels of the level and of the next coarser one, and the pixels of all levels, of one view, with their rims.
     first: u32,
     first_coarser: u32,
     total: u32,
@@ -72,13 +75,13 @@ struct Patch {
     normal: vec3<f32>,
 }
 
-// Pixels in a row of a level.
+// Pixels in a row of a level, with its rim.
 fn level_width(number: u32) -> u32 {
-    return (frame.size_px.x + (1u << number) - 1u) >> number;
+    return ((frame.size_px.x + (1u << number) - 1u) >> number) + 2u;
 }
 
 fn patch_index(at: vec2<i32>, number: u32, first: u32) -> u32 {
-    return frame.view * level.total + first + u32(at.y) * level_width(number) + u32(at.x);
+    return frame.view * level.total + first + u32(at.y + 1) * level_width(number) + u32(at.x + 1);
 }
 
 fn no_patch() -> Patch {

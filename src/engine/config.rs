@@ -16,6 +16,10 @@ use crate::scene::SceneLimits;
 /// Default of [`EngineConfig::job_share`].
 pub const DEFAULT_JOB_SHARE: f64 = 0.1;
 
+/// Is given the words of all levels of pull-push of frames that were drawn together: after pull and after push, those of the four buffers of
+/// patches one behind the other.
+pub type LevelsHook = Arc<dyn Fn(&[u32]) + Send + Sync>;
+
 /// Number of points whose neighbours are found in a tenth of a second: below it, waiting costs less than drawing a second
 /// picture.
 pub const ESTIMATE_AT_ONCE: usize = 200_000;
@@ -83,6 +87,9 @@ pub struct EngineConfig {
     /// For tests: is called when a patch has listed the instances anew, before the scene is exchanged.
     #[doc(hidden)]
     pub patch_hook: Option<Arc<dyn Fn() + Send + Sync>>,
+    /// For tests: is called when frames of pull-push have landed, before they are encoded.
+    #[doc(hidden)]
+    pub levels_hook: Option<LevelsHook>,
     /// Clouds of so many points get the normals and kernels that they lack when they are read, larger ones when a frame needs them.
     pub estimate_at_once: usize,
     /// For tests: bakes do not begin while this is shut.
@@ -166,6 +173,7 @@ impl EngineConfig {
             large_units_limit: None,
             estimate_at_once: ESTIMATE_AT_ONCE,
             patch_hook: None,
+            levels_hook: None,
             bake_latch: None,
             resolve_hook: None,
             settled_after: SETTLED_AFTER,

@@ -1,13 +1,14 @@
 //! The end of a submission: waits for it, reads what it wrote, and decides which frames are done and which are drawn again.
 
+use std::ops::Range;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::EngineError;
 use super::exposures::counted;
 use super::frame_job::FrameJob;
 use super::pick;
 use super::renderer::{FlyingGroup, InFlight, Names, Renderer, STATS_BYTES};
+use super::{EngineError, LevelsHook};
 use crate::encode::FrameImage;
 use crate::passes::{PassSpan, Shadows};
 use crate::plan::{Output, Pass};
@@ -110,6 +111,16 @@ impl FlyingGroup {
 }
 
 impl FlyingGroup {
+    /// Hands the copies of levels to the test that has asked for them.
+    fn show_levels(&self, hook: &LevelsHook) {
+        let Range { start, end } = self.level_copies;
+        if start < end {
+            self.landing.read(end, |bytes| {
+                hook(&bytemuck::pod_collect_to_vec::<u8, u32>(&bytes[start as usize..]));
+            });
+        }
+    }
+
     /// No other frame may use the maps that the group has made.
     fn spoil_maps(&self) {
         if let Some(shadows) = self.shadows.as_ref().filter(|shadows| !shadows.sources.is_empty()) {
@@ -179,6 +190,9 @@ impl Renderer {
         for mut group in flight.groups {
             // Buffers of what never began would show an older frame.
             let read = if never_begun { None } else { group.read() };
+            if let (Some(hook), Some(_)) = (&self.levels_hook, &read) {
+                group.show_levels(hook);
+            }
             let jobs = std::mem::take(&mut group.jobs);
             if group.is_given_up && read.is_some() {
                 // Whether the lists were long enough for its maps is not known.

@@ -74,7 +74,7 @@ use std::time::Duration;
 
 pub use bake_files::{BakeEvent, BakedAsset, bake_file};
 pub use bake_service::{BakeTicket, Latch};
-pub use config::{DEFAULT_JOB_SHARE, ESTIMATE_AT_ONCE, EngineConfig};
+pub use config::{DEFAULT_JOB_SHARE, ESTIMATE_AT_ONCE, EngineConfig, LevelsHook};
 pub use encoders::EncodeHook;
 pub use error::EngineError;
 pub use info::{

@@ -86,6 +86,7 @@ fn open(state: &EngineState, options: &GpuOptions) -> Result<Renderer, GpuError>
     if let Some(units) = state.config.large_units_limit {
         renderer.set_large_units_limit(units);
     }
+    renderer.levels_hook = state.config.levels_hook.clone();
     state.set_adapter(Adapter {
         name: renderer.gpu.name.clone(),
         renderer: options.pipeline_source.clone(),

@@ -7,19 +7,19 @@ use std::time::{Duration, Instant};
 
 use parking_lot::Mutex;
 
-use super::EngineError;
 use super::frame_job::FrameJob;
 use super::group::groups;
 use super::pick;
 use super::queue::Waiting;
+use super::{EngineError, LevelsHook};
 use crate::gpu::bind::BindCache;
 use crate::gpu::buffer::Buffer;
 use crate::gpu::readback::{Landing, Ring};
 use crate::gpu::timing::Timer;
 use crate::gpu::{Gpu, GpuError, GpuOptions};
 use crate::passes::{
-    self, Context, FrameTask, MapKey, PassSpan, Pipelines, Round, Scratch, ShadowMaps, Shadows,
-    Uniforms,
+    self, Context, FrameTask, LevelCopies, Levels, MapKey, PassSpan, Pipelines, Round, Scratch,
+    ShadowMaps, Shadows, Uniforms,
 };
 use crate::plan::{Pass, Specialisation};
 use crate::residency::layout::{GpuStats, MOST_VIEWS};
@@ -41,6 +41,7 @@ pub struct Renderer {
     pub(super) small_splat_px: u32,
     pub(super) large_units_limit: u32,
     pub(super) spoil: bool,
+    pub(super) levels_hook: Option<LevelsHook>,
     shadow_maps: ShadowMaps,
 }
 
@@ -70,6 +71,8 @@ pub(super) struct FlyingGroup {
     pub(super) landing: Landing,
     /// Bytes of one frame.
     pub(super) pixel_bytes: u64,
+    /// Where the copies of levels lie that a test has asked for.
+    pub(super) level_copies: Range<u64>,
     /// For a pick: where each geometry's chunks lie in the chunk table.
     pub(super) chunk_ranges: Vec<Range<u32>>,
     pub(super) spans: Vec<PassSpan>,
@@ -130,6 +133,7 @@ impl Renderer {
             fault,
             large_units_limit,
             spoil: false,
+            levels_hook: None,
             shadow_maps: ShadowMaps::default(),
         })
     }
@@ -263,7 +267,7 @@ impl Renderer {
             .zip(recorded)
             .zip(tasks)
             .map(|((jobs, recorded), mut tasks)| {
-                let Recorded { landing, pixel_bytes, spans, is_given_up } = recorded;
+                let Recorded { landing, pixel_bytes, level_copies, spans, is_given_up } = recorded;
                 landing.map();
                 // There is at least one task, and the first one has the most views and draws the shadow maps.
                 let first = tasks.swap_remove(0);
@@ -279,6 +283,7 @@ impl Renderer {
                     jobs,
                     landing,
                     pixel_bytes,
+                    level_copies,
                     chunk_ranges,
                     spans,
                     shadows: first.shadows,
@@ -440,7 +445,14 @@ impl Renderer {
         let (pixels, stats) = (images * pixel_bytes, views * STATS_BYTES);
         let shadows = first.shadows.as_ref();
         let counted = shadows.map_or(0, Shadows::stats_bytes);
-        let landing = self.ring.take(&self.gpu, pixels + stats + counted);
+        let copied = match &self.levels_hook {
+            Some(_) if first.plan.runs(Pass::Pull) => {
+                LevelCopies::COUNT * u64::from(first.count()) * Levels::of(first.size()).bytes()
+            }
+            _ => 0,
+        };
+        let copies = pixels + stats + counted;
+        let landing = self.ring.take(&self.gpu, copies + copied);
         let (mut spans, mut behind, mut is_given_up) = (Vec::new(), pixels, false);
         for (number, (task, offset)) in tasks.iter().zip(offsets).enumerate() {
             if number > 0 {
@@ -458,6 +470,8 @@ impl Renderer {
                 scratch: &mut self.scratch,
                 residency: &self.residency,
                 timer: &mut *timer,
+                copies: (copied > 0)
+                    .then(|| LevelCopies { buffer: landing.buffer(), next: copies }),
             };
             let recorded = passes::record(&mut context, encoder, task, scene, offset);
             spans.extend(recorded.map_err(|error| internal(error.to_string()))?);
@@ -483,7 +497,8 @@ impl Renderer {
         if let Some(shadows) = shadows.filter(|_| counted > 0) {
             copy(&shadows.set.stats, 0, pixels + stats, counted);
         }
-        Ok(Recorded { landing, pixel_bytes, spans, is_given_up })
+        let level_copies = copies..copies + copied;
+        Ok(Recorded { landing, pixel_bytes, level_copies, spans, is_given_up })
     }
 }
 
@@ -491,6 +506,7 @@ impl Renderer {
 struct Recorded {
     landing: Landing,
     pixel_bytes: u64,
+    level_copies: Range<u64>,
     spans: Vec<PassSpan>,
     is_given_up: bool,
 }

@@ -19,7 +19,7 @@ use super::{EngineError, FrameRequest};
 use crate::bake::pack::GeometryKind;
 use crate::encode::{self, EncodeError};
 use crate::math::View;
-use crate::passes::{Levels, PAINTED_BYTES, PATCH_BYTES, SLABS_BYTES, Slabs};
+use crate::passes::{Levels, PAINTED_BYTES, SLABS_BYTES, Slabs};
 use crate::plan::auto::{self, Choice};
 use crate::plan::planner::Moving;
 use crate::plan::{
@@ -573,7 +573,6 @@ fn no_fuzzy(adapter: &Adapter) -> Option<&'static str> {
 
 /// Why pull-push cannot draw a frame.
 fn no_pyramid(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str> {
-    let bytes = Levels::of(drawn_size(request)).pixels() * PATCH_BYTES;
-    (bytes > adapter.max_binding_bytes)
+    (Levels::of(drawn_size(request)).bytes() > adapter.max_binding_bytes)
         .then_some("the adapter cannot bind the pyramid of so many pixels; a smaller frame has one")
 }

@@ -11,7 +11,7 @@
 //! 2. `blend`: where samples are drawn as splats instead (`splats`, and `footprint` for their shapes in the image), which
 //!    pixels show them before the triangles, and the weighted means of those that make up the nearest surface.
 //!    `paint` lays them over each other instead, where that is asked for.
-//!    `pull_push` fills the gaps between samples of one pixel from coarser levels of the image instead, where that is asked for.
+//!    `pull_push` fills the gaps between samples of one pixel from coarser levels of the image (`patches`) instead, where that is asked for.
 //! 3. `surface`: colour (`texture` included), normal and material where the ray meets the winner.
 //! 4. `shade`: under lights and surroundings (`environment`), Phong's model, that of physical materials (`physical`), or the colour as it is. `tone` maps light to what can be shown. `shadow` finds out what share of a light a place sees, where lights cast shadows, and what share of its surroundings
 //!    is open to ambient light. (`occlusion` estimates that from an image, as the renderer does.)
@@ -32,6 +32,7 @@ mod footprint;
 mod lines;
 pub mod occlusion;
 mod paint;
+mod patches;
 mod physical;
 mod predicates;
 mod prepare;
@@ -68,6 +69,7 @@ use crate::scene::{
 };
 
 pub use environment::Surroundings;
+pub use patches::{Level, Patch, Pyramid};
 
 use blend::Blended;
 use prepare::Prepared;
@@ -183,6 +185,15 @@ pub fn render(scene: &OracleScene<'_>, view: &View, supersample: u32) -> OracleF
         id: shown.iter().map(id).collect(),
         color,
     }
+}
+
+/// Makes the levels of a view that pull-push reconstructs surfaces from, so that a renderer's can be compared with them one by one. Each step
+/// starts from the levels that are `given`, or else from the oracle's own. `None` without [`OracleScene::pull_push`].
+pub fn pyramid(scene: &OracleScene<'_>, view: &View, given: Option<&Pyramid>) -> Option<Pyramid> {
+    let settings = scene.pull_push.as_ref()?;
+    let prepared = &Prepared::new(scene, view);
+    let hits = visibility::resolve(prepared, view, 1, false);
+    Some(patches::Steps { prepared, view, settings }.pyramid(&hits, given))
 }
 
 /// The hit or the blended splats of a pixel.

@@ -2,7 +2,7 @@
 //! lists.
 //!
 //! 1. *Level 0.* Each pixel keeps the nearest of the samples that project into it, if it is nearer than the triangle there. The sample becomes a
-//!    [`Patch`]: the ellipse that its disk is in the image, its plane, colour and normal.
+//!    [`Patch`]: the ellipse that its disk is in the image, its plane, colour and normal. Samples beside the image lie in a rim around it.
 //! 2. *Pull.* A pixel of the next level combines the patches of its four pixels that cover its centre and belong to the nearest surface there.
 //! 3. *Push.* From the coarsest level down, each pixel combines its patch with those of the four nearest pixels of the coarser level that cover
 //!    its centre. Level 0 gives the image. A pixel that stays open beside patches takes the disk of a sample near by that covers it.
@@ -10,15 +10,13 @@
 use glam::{DMat2, DVec2, DVec3};
 use rayon::prelude::*;
 
-use crate::assets::{Clip, Geometry, PointCloud};
 use crate::math::View;
 use crate::scene::{PullPush, PullPushWeights};
 
-use super::blend::{Blended, facing};
-use super::footprint::Disk;
-use super::prepare::{Prepared, PreparedItem};
+use super::blend::Blended;
+use super::patches::{Level, Patch, Pyramid, Steps};
+use super::prepare::Prepared;
 use super::shade::shade;
-use super::splats::{camera_from_view, clip, tangents};
 use super::surface::{self, Surface};
 use super::visibility::{Hit, pixel_ray};
 
@@ -43,32 +41,6 @@ const ABOUT: isize = 8;
 const ABOUT_WIDEN_PX: f64 = 0.1;
 /// Radii of a disk that its plane is followed for.
 const FOLLOWED: f64 = 1.5;
-/// Share of the camera plane's distance that disks reach at most.
-const STEEPEST: f64 = 0.8;
-/// Variance in square pixels below which an ellipse tells no slope.
-const THIN: f64 = 0.09;
-/// Least part of its radius that a clip line leaves of a disk.
-const LEAST_KEPT: f64 = 0.02;
-
-/// A patch: the surface as a pixel of a level knows it.
-#[derive(Clone, Copy, Debug)]
-struct Patch {
-    /// The sample that counts the most.
-    source: Hit,
-    /// 1 the outside, −1 the inside, 0 where normals do not tell.
-    facing: i8,
-    /// 1/z at the ellipse's centre, or z where rays are parallel.
-    value: f64,
-    at_px: DVec2,
-    /// Variance in square pixels; the outline is at the squared distance 1.
-    spread: DMat2,
-    /// Radius of the disks in pixels, if they faced the eye.
-    radius_px: f64,
-    /// Change of the value for each pixel; in perspective relative to the value.
-    slope: DVec2,
-    color: [f64; 3],
-    normal_world: DVec3,
-}
 
 /// A patch at a place: squared distance in half axes, 1/z, and 1/z behind the surface by the depth offset.
 #[derive(Clone, Copy)]
@@ -79,27 +51,6 @@ struct Seen {
     behind: f64,
 }
 
-/// The rows of a level's patches.
-struct Level {
-    width: usize,
-    height: usize,
-    patches: Vec<Option<Patch>>,
-}
-
-impl Level {
-    fn at(&self, x: isize, y: isize) -> Option<Patch> {
-        let (x, y) = (usize::try_from(x).ok()?, usize::try_from(y).ok()?);
-        (x < self.width && y < self.height).then(|| self.patches[y * self.width + x])?
-    }
-}
-
-/// Facts that all steps need.
-struct Steps<'a> {
-    prepared: &'a Prepared<'a>,
-    view: &'a View,
-    settings: &'a PullPush,
-}
-
 /// The pixels of `view` that show samples before the `hits` of triangles.
 pub fn pulled(
     prepared: &Prepared<'_>,
@@ -108,144 +59,34 @@ pub fn pulled(
     hits: &[Option<Hit>],
 ) -> Vec<Option<Blended>> {
     let steps = Steps { prepared, view, settings };
-    let mut levels = vec![steps.samples(hits)];
-    while let Some(last) = levels.last()
-        && (levels.len() == 1 || last.width * last.height > 1)
-    {
-        let next = steps.pull(last, levels.len());
-        levels.push(next);
-    }
-    let mut coarser = levels.pop();
-    while levels.len() > 1 {
-        let (Some(above), Some(own)) = (&coarser, levels.pop()) else { break };
-        coarser = Some(steps.push(&own, above, levels.len()));
-    }
-    match (levels.pop(), coarser) {
-        (Some(image), Some(above)) => steps.finish(&image, &above, hits),
-        _ => vec![None; hits.len()],
-    }
+    let Pyramid { pulled, pushed } = steps.pyramid(hits, None);
+    // There are at least two levels.
+    steps.finish(&pulled[0], &pushed[0], hits)
 }
 
 impl Steps<'_> {
-    fn focal_px(&self) -> f64 {
-        self.view.focal_px.y
-    }
-
-    /// Level 0.
-    fn samples(&self, hits: &[Option<Hit>]) -> Level {
-        let (width, height) = (self.view.width as usize, self.view.height as usize);
-        let mut nearest: Vec<Option<(Hit, u32)>> = vec![None; width * height];
-        let mut patches = vec![None; width * height];
-        for (number, item) in self.prepared.items.iter().enumerate() {
-            let Geometry::Points(cloud) = item.item.geometry else { continue };
-            for index in 0..cloud.positions.len() {
-                let Some((pixel, depth)) = self.pixel_of(item, cloud, index) else { continue };
-                let hit = Hit { depth, item: number as u32, index: index as u32 };
-                let key = |hit: &Hit, instance: u32| (instance, hit.index, hit.item);
-                let instance = item.item.instance;
-                let is_nearer = nearest[pixel].is_none_or(|(old, other)| {
-                    depth < old.depth
-                        || (depth == old.depth && key(&hit, instance) < key(&old, other))
-                });
-                if is_nearer && hits[pixel].is_none_or(|triangle| depth < triangle.depth) {
-                    nearest[pixel] = Some((hit, instance));
-                }
-            }
+    /// Makes all levels. Each step starts from the levels that are `given`, or else from those made before.
+    pub fn pyramid(&self, hits: &[Option<Hit>], given: Option<&Pyramid>) -> Pyramid {
+        let mut pulled = vec![self.samples(hits)];
+        while let Some(last) = pulled.last()
+            && (pulled.len() == 1 || last.width * last.height > 1)
+        {
+            let finer = given.map_or(last, |given| &given.pulled[pulled.len() - 1]);
+            let next = self.pull(finer, pulled.len());
+            pulled.push(next);
         }
-        patches.par_iter_mut().zip(&nearest).for_each(|(patch, nearest)| {
-            *patch = nearest.and_then(|(hit, _)| self.disk(&hit));
-        });
-        Level { width, height, patches }
-    }
-
-    /// The pixel that a sample is drawn in: its own, or the nearest one of the border that its disk may reach.
-    fn pixel_of(
-        &self,
-        item: &PreparedItem<'_>,
-        cloud: &PointCloud,
-        index: usize,
-    ) -> Option<(usize, f64)> {
-        let view = self.view;
-        let position = item.to_view(*cloud.positions.get(index)?)?;
-        let depth = -position.z;
-        let centre = view.project(position)?;
-        if depth <= 0.0 || !self.prepared.shows(view, position) {
-            return None;
+        // The coarsest level is complete.
+        let mut pushed: Vec<Level> = pulled.last().cloned().into_iter().collect();
+        for number in (1..pulled.len() - 1).rev() {
+            let (own, coarser) = match given {
+                Some(given) => (&given.pulled[number], &given.pushed[number]),
+                None => (&pulled[number], &pushed[pushed.len() - 1]),
+            };
+            let next = self.push(own, coarser, number);
+            pushed.push(next);
         }
-        let size = DVec2::new(f64::from(view.width), f64::from(view.height));
-        let axes = self.axes(item, cloud, index, position);
-        let longest = axes[0].length().max(axes[1].length());
-        let reach = view.focal_px
-            * (f64::from(self.settings.splats.cutoff) * longest / view.divisor(depth));
-        let inside = centre.cmpge(DVec2::ZERO).all() && centre.cmplt(size).all();
-        let near = (centre + reach).cmpgt(DVec2::ZERO).all() && (centre - reach).cmplt(size).all();
-        (inside || near).then(|| {
-            let pixel = centre.clamp(DVec2::ZERO, size - 1.0).floor();
-            (pixel.y as usize * view.width as usize + pixel.x as usize, depth)
-        })
-    }
-
-    /// A disk's axes in camera space, one standard deviation long.
-    fn axes(
-        &self,
-        item: &PreparedItem<'_>,
-        cloud: &PointCloud,
-        index: usize,
-        position: DVec3,
-    ) -> [DVec3; 2] {
-        let way = camera_from_view(self.view.towards(position));
-        let width = f64::from(self.settings.splats.width);
-        tangents(item, cloud, index, way).map(|axis| axis * width)
-    }
-
-    /// The patch of a sample's disk.
-    fn disk(&self, hit: &Hit) -> Option<Patch> {
-        let view = self.view;
-        let item = &self.prepared.items[hit.item as usize];
-        let Geometry::Points(cloud) = item.item.geometry else { return None };
-        let index = hit.index as usize;
-        let position = item.to_view(*cloud.positions.get(index)?)?;
-        let cutoff = f64::from(self.settings.splats.cutoff);
-        let whole = self.axes(item, cloud, index, position);
-        let (centre, axes) =
-            kept_part(&clip(cloud, index), f64::from(self.settings.splats.width), cutoff, whole);
-        let centre = camera_from_view(position) + centre;
-        let radius = cutoff * axes[0].length().max(axes[1].length());
-        let radius_px = radius * self.focal_px() / view.divisor(centre.z) + 0.5;
-        let mut disk = Disk::new(centre, axes, view);
-        let slopes = match view.is_orthographic() {
-            true => DVec2::new(axes[0].z, axes[1].z),
-            false => {
-                let steep = cutoff * disk.tangents[0].z.hypot(disk.tangents[1].z);
-                let shrunk = (STEEPEST / steep.max(1e-20)).min(1.0);
-                disk.tangents = disk.tangents.map(|tangent| tangent * shrunk);
-                DVec2::new(disk.tangents[0].z, disk.tangents[1].z)
-            }
-        };
-        let outline = disk.perspective_by_dual(cutoff);
-        let jacobian = disk.jacobian();
-        let thin = DMat2::from_diagonal(DVec2::splat(THIN / (cutoff * cutoff)));
-        let sign = if view.is_orthographic() { 1.0 } else { -1.0 };
-        let slope = (jacobian * jacobian.transpose() + thin).inverse() * (jacobian * slopes * sign);
-        let shift = outline.centre_px - disk.centre_px;
-        let (value, slope) = if view.is_orthographic() {
-            (centre.z, slope)
-        } else {
-            let change = (1.0 + slope.dot(shift)).clamp(0.1, 10.0);
-            (change / centre.z, slope / change)
-        };
-        let surface = surface::at(self.prepared, view, hit, 0, 0);
-        Some(Patch {
-            source: *hit,
-            facing: facing(item, cloud, index, view),
-            value,
-            at_px: outline.centre_px,
-            spread: outline.variance() * (cutoff * cutoff),
-            radius_px,
-            slope,
-            color: surface.albedo,
-            normal_world: surface.normal_world,
-        })
+        pushed.reverse();
+        Pyramid { pulled, pushed }
     }
 
     /// How far behind a patch others still count as the same surface: a share of its distance, or a length where rays are parallel.
@@ -317,19 +158,17 @@ impl Steps<'_> {
     }
 
     fn pull(&self, finer: &Level, number: usize) -> Level {
-        let (width, height) = (finer.width.div_ceil(2), finer.height.div_ceil(2));
         let size = (1u64 << number) as f64;
-        let patch = |pixel: usize| {
-            let (x, y) = (pixel % width, pixel / width);
+        let patch = |x: isize, y: isize| {
             let place = (DVec2::new(x as f64, y as f64) + 0.5) * size;
-            let (x, y) = (2 * x as isize, 2 * y as isize);
+            let (x, y) = (2 * x, 2 * y);
             let children = [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)];
             let children = children.map(|(x, y)| {
                 let patch = finer.at(x, y).filter(|patch| patch.radius_px >= LEAST_DISK * size)?;
                 Some(self.see(patch, place, WIDEN * size))
             });
             let is_covered = children.iter().flatten().any(|seen| seen.distance <= 1.0);
-            // Where nothing covers the centre, disks beside the image count: no coarser level reaches beyond the border.
+            // Where nothing covers the centre, disks beside the image count: the rim is narrower than they may be far away.
             let covers = |seen: &Seen| match is_covered {
                 true => seen.distance <= 1.0,
                 false => self.is_beside(&seen.patch),
@@ -343,8 +182,7 @@ impl Steps<'_> {
                 .collect();
             self.combine(&parts).map(|patch| Patch { facing: side, ..patch })
         };
-        let patches = (0..width * height).into_par_iter().map(patch).collect();
-        Level { width, height, patches }
+        Level::of((finer.width.div_ceil(2), finer.height.div_ceil(2)), patch)
     }
 
     /// Whether a patch's centre lies beside the image.
@@ -355,32 +193,29 @@ impl Steps<'_> {
 
     fn push(&self, own: &Level, coarser: &Level, number: usize) -> Level {
         let size = (1u64 << number) as f64;
-        let patch = |pixel: usize| {
-            let (x, y) = (pixel % own.width, pixel / own.width);
+        let patch = |x: isize, y: isize| {
             let place = (DVec2::new(x as f64, y as f64) + 0.5) * size;
-            let mine = own.patches[pixel];
+            let mine = own.at(x, y);
             let found = self.around(coarser, (x, y), place, WIDEN * size, mine.is_none(), false);
             let seen = mine.map(|patch| self.see(patch, place, WIDEN * size));
             let seen = seen.filter(|seen| is_seen(seen.inverse, seen.patch.facing, &found));
             let (parts, side) = self.parts(&found, seen.as_ref(), 1.0);
             self.combine(&parts).map(|patch| Patch { facing: side, ..patch })
         };
-        let patches = (0..own.patches.len()).into_par_iter().map(patch).collect();
-        Level { width: own.width, height: own.height, patches }
+        Level::of((own.width, own.height), patch)
     }
 
     /// The surface at a place, as the four nearest pixels of the coarser level know it.
     fn around(
         &self,
         coarser: &Level,
-        (x, y): (usize, usize),
+        (x, y): (isize, isize),
         place: DVec2,
         widen_px: f64,
         may_close: bool,
         is_last: bool,
     ) -> Around {
-        // The corner of the coarser level that the pixel touches.
-        let (left, above) = (x.div_ceil(2) as isize - 1, y.div_ceil(2) as isize - 1);
+        let (left, above) = (corner(x) - 1, corner(y) - 1);
         let share = |is_far: bool| if is_far { 0.75 } else { 0.25 };
         let (right, down) = (share(x % 2 == 0), share(y % 2 == 0));
         let four = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| {
@@ -431,17 +266,19 @@ impl Steps<'_> {
         let pixel = |pixel: usize| {
             let (x, y) = (pixel % image.width, pixel / image.width);
             let place = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-            let own = image.patches[pixel].map(|patch| self.see(patch, place, WIDEN_PX));
+            let at = (x as isize, y as isize);
+            let sample = image.at(at.0, at.1);
+            let own = sample.map(|patch| self.see(patch, place, WIDEN_PX));
             let is_elsewhere = own.is_some_and(|own| own.distance > 1.0);
             let own = own.filter(|_| !is_elsewhere);
-            let mut found = self.around(coarser, (x, y), place, WIDEN_PX, own.is_none(), true);
+            let mut found = self.around(coarser, at, place, WIDEN_PX, own.is_none(), true);
             if own.is_none() && found.front == 0.0 && found.is_near {
-                found = self.about(image, (x, y), place).unwrap_or(found);
+                found = self.about(image, at, place).unwrap_or(found);
             }
             // The sample's own depth, not that of its plane.
             let own = own.map(|own| Seen { inverse: 1.0 / own.patch.source.depth, ..own });
             let own_seen = own.filter(|own| is_seen(own.inverse, own.patch.facing, &found));
-            let triangle = hits[pixel].filter(|_| image.patches[pixel].is_none());
+            let triangle = hits[pixel].filter(|_| sample.is_none());
             let hides = triangle.is_some_and(|hit| 1.0 / hit.depth >= found.front);
             if own_seen.is_none() && (found.front == 0.0 || hides) {
                 return None;
@@ -462,13 +299,12 @@ impl Steps<'_> {
             let source = own_seen.map_or(patch.source, |own| own.patch.source);
             Some(self.lit(&Patch { source, ..patch }, self.view.at_depth(ray, depth), depth))
         };
-        (0..image.patches.len()).into_par_iter().map(pixel).collect()
+        (0..hits.len()).into_par_iter().map(pixel).collect()
     }
 
     /// The disk of a sample near by that covers a pixel: of the nearest surface, the one whose middle the pixel is closest to.
-    fn about(&self, image: &Level, (x, y): (usize, usize), place: DVec2) -> Option<Around> {
-        // The corner of level 1 that the pixel touches.
-        let (right, down) = (2 * x.div_ceil(2) as isize, 2 * y.div_ceil(2) as isize);
+    fn about(&self, image: &Level, (x, y): (isize, isize), place: DVec2) -> Option<Around> {
+        let (right, down) = (2 * corner(x), 2 * corner(y));
         let pixels = (-ABOUT..ABOUT).flat_map(|y| (-ABOUT..ABOUT).map(move |x| (x, y)));
         let disks = pixels.filter_map(|(x, y)| image.at(right + x, down + y));
         let covering = disks
@@ -517,6 +353,11 @@ struct Around {
     is_near: bool,
 }
 
+/// The corner of the coarser level that a pixel touches, along one axis.
+fn corner(x: isize) -> isize {
+    (x + 1).div_euclid(2)
+}
+
 fn front(four: &[Option<Seen>; 4], covers: impl Fn(&Seen) -> bool) -> (f64, i8) {
     let covering = four.iter().flatten().filter(|seen| covers(seen));
     covering.fold((0.0, 0), |(front, side), seen| match seen.behind > front {
@@ -563,26 +404,4 @@ fn between(four: &[Option<Seen>; 4], place: DVec2, widen_px: f64, is_last: bool)
         (false, true) => near,
         (false, false) => [false; 4],
     }
-}
-
-/// The largest ellipses within the sides that clip lines keep of a disk: the centre relative to the disk's, and the axes.
-fn kept_part(clip: &Clip, width: f64, cutoff: f64, axes: [DVec3; 2]) -> (DVec3, [DVec3; 2]) {
-    let mut centre = DVec2::ZERO;
-    let mut part = DMat2::IDENTITY;
-    let lines: Vec<_> = clip.lines.iter().flatten().collect();
-    if !(clip.either && lines.len() == 2) {
-        for line in lines {
-            let normal = line.normal.as_dvec2();
-            let across = part.transpose() * normal;
-            let size = across.length().max(1e-6);
-            let n = across / size;
-            let offset = (f64::from(line.offset) / width - normal.dot(centre)) / size;
-            let begin = offset.clamp(-cutoff, cutoff * (1.0 - 2.0 * LEAST_KEPT));
-            centre += part * n * (0.5 * (begin + cutoff));
-            let shrunk = (cutoff - begin) / (2.0 * cutoff) - 1.0;
-            part += part * DMat2::from_cols(n * n.x, n * n.y) * shrunk;
-        }
-    }
-    let place = |at: DVec2| axes[0] * at.x + axes[1] * at.y;
-    (place(centre), [place(part.x_axis), place(part.y_axis)])
 }

@@ -14,7 +14,7 @@ use super::prepare::{Prepared, PreparedItem};
 use super::{lines, surface};
 
 /// The element that covers a pixel.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Hit {
     /// Distance along the viewing axis, positive.
     pub depth: f64,

@@ -178,6 +178,14 @@ impl FrameTask {
         u64::from(self.count()) * u64::from(width) * u64::from(height)
     }
 
+    /// Number of pixels that the visibility buffer holds: those of all views and, for pull-push, those of the rims around them; see
+    /// `shared/landing`.
+    pub fn visibility_pixels(&self) -> u64 {
+        let (width, height) = self.size();
+        let rims = u64::from(self.count()) * 2 * (u64::from(width) + u64::from(height) + 2);
+        self.pixels() + self.reconstruction.pull_push().map_or(0, |_| rims)
+    }
+
     /// Whether rays are parallel. All views of a task have one projection.
     pub fn is_orthographic(&self) -> bool {
         self.views.iter().any(View::is_orthographic)

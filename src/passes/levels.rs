@@ -1,6 +1,10 @@
 //! Levels of the pyramid that pull-push makes of an image (Marroquim et al. 2008, §3).
 
-/// Sizes of the levels, the image first; a pixel of a level stands for 2 × 2 of the level before it.
+/// Bytes of a patch in each buffer of pull-push.
+const PATCH_BYTES: u64 = 8;
+
+/// Sizes of the levels, the image first; a pixel of a level stands for 2 × 2 of the level before it. A rim of one pixel surrounds each
+/// level, for samples beside the image.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Levels(Vec<(u32, u32)>);
 
@@ -23,20 +27,25 @@ impl Levels {
         self.0.len()
     }
 
-    /// Width and height of a level.
+    /// Width and height of a level, without its rim.
     pub fn size(&self, level: usize) -> (u32, u32) {
         self.0.get(level).copied().unwrap_or((1, 1))
     }
 
-    /// Pixels of all levels before one.
+    /// Pixels of all levels before one, with their rims.
     pub fn first(&self, level: usize) -> u64 {
         let sizes = self.0.iter().take(level);
-        sizes.map(|&(width, height)| u64::from(width) * u64::from(height)).sum()
+        sizes.map(|&(width, height)| (u64::from(width) + 2) * (u64::from(height) + 2)).sum()
     }
 
-    /// Pixels of all levels.
+    /// Pixels of all levels, with their rims.
     pub fn pixels(&self) -> u64 {
         self.first(self.count())
+    }
+
+    /// Bytes of all levels in each of the buffers of pull-push.
+    pub fn bytes(&self) -> u64 {
+        self.pixels() * PATCH_BYTES
     }
 
     /// The words of `LevelUse` in `shared/patches` for each level that has a coarser one.
@@ -57,9 +66,10 @@ mod tests {
         let levels = Levels::of((5, 3));
         let sizes: Vec<(u32, u32)> = (0..levels.count()).map(|level| levels.size(level)).collect();
         assert_eq!(sizes, [(5, 3), (3, 2), (2, 1), (1, 1)]);
-        assert_eq!((levels.first(1), levels.first(2), levels.pixels()), (15, 21, 24));
+        let rims = [35, 20, 12, 9];
+        assert_eq!(levels.pixels(), rims.iter().sum::<u64>());
         let records: Vec<[u32; 4]> = levels.records().collect();
-        assert_eq!(records, [[0, 0, 15, 24], [1, 15, 21, 24], [2, 21, 23, 24]]);
+        assert_eq!(records, [[0, 0, 35, 76], [1, 35, 55, 76], [2, 55, 67, 76]]);
         assert_eq!(Levels::of((1, 1)).records().count(), 1);
         assert_eq!(Levels::of((1, 8192)).count(), 14);
     }

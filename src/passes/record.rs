@@ -61,6 +61,9 @@ fn record_step(recorder: &mut Recorder, step: &Step) -> Result<(), ShaderError> 
             record_pass(recorder)?;
         }
     }
+    if step.passes.iter().any(|pass| matches!(pass, Pass::Pull | Pass::Push)) {
+        recorder.copy_levels();
+    }
     Ok(())
 }
 

@@ -33,6 +33,18 @@ pub struct PassSpan {
     pub span: Option<Span>,
 }
 
+/// Where copies of the levels of pull-push go, one behind the other.
+pub struct LevelCopies<'a> {
+    pub buffer: &'a wgpu::Buffer,
+    /// Place of the next copy, in bytes.
+    pub next: u64,
+}
+
+impl LevelCopies<'_> {
+    /// Number of copies: of four buffers, after pull and after push.
+    pub const COUNT: u64 = 8;
+}
+
 /// The GPU objects that recording needs, which all groups share.
 pub struct Context<'a> {
     pub gpu: &'a Gpu,
@@ -41,6 +53,8 @@ pub struct Context<'a> {
     pub scratch: &'a mut Scratch,
     pub residency: &'a Residency,
     pub timer: &'a mut Timer,
+    /// For tests: copies all levels after pull and after push.
+    pub copies: Option<LevelCopies<'a>>,
 }
 
 /// A group being recorded.
@@ -246,6 +260,17 @@ impl<'a, 'c> Recorder<'a, 'c> {
     /// Entries of a view, padding included.
     pub fn entries(&self) -> u32 {
         self.scene.entries(self.task.entry_capacity).0
+    }
+
+    /// Copies all levels of pull-push, if a test has asked for them.
+    pub fn copy_levels(&mut self) {
+        let bytes = u64::from(self.task.count()) * self.levels().bytes();
+        let Some(copies) = &mut self.context.copies else { return };
+        for patches in &self.context.scratch.patches {
+            let (from, to) = (patches.buffer().raw(), copies.buffer);
+            self.encoder.copy_buffer_to_buffer(from, 0, to, copies.next, bytes);
+            copies.next += bytes;
+        }
     }
 
     /// Empties the list of large triangles or splats.

@@ -99,9 +99,6 @@ pub const SLABS_BYTES: u64 = 16;
 /// Bytes that each pixel of a frame of several exposures takes for their sums.
 pub const EXPOSED_BYTES: u64 = 16;
 
-/// Bytes of a patch in each buffer of pull-push.
-pub const PATCH_BYTES: u64 = 8;
-
 /// Side of a block of the hierarchical depth buffer, and the words of its record; as in `shared/pyramid`.
 pub const BLOCK_PX: u32 = 16;
 pub const BLOCK_WORDS: u32 = 17;
@@ -207,7 +204,7 @@ impl Scratch {
     pub fn largest(scene: &ResidentScene, (width, height): (u32, u32), plan: &FramePlan) -> u64 {
         let bytes = if plan.runs(Pass::ResolveFuzzy) { SLABS_BYTES } else { 8 };
         let patches = match plan.runs(Pass::Pull) {
-            true => Levels::of((width, height)).pixels() * PATCH_BYTES,
+            true => Levels::of((width, height)).bytes(),
             false => 0,
         };
         let fragments = match plan.runs(Pass::CompositeLayers) {
@@ -231,7 +228,7 @@ impl Scratch {
     pub fn reserve(&mut self, gpu: &Gpu, scene: &ResidentScene, task: &FrameTask) {
         let ((width, height), views) = (task.size(), u64::from(task.count()));
         let pixels = task.pixels();
-        self.visibility.reserve(gpu, pixels * 8);
+        self.visibility.reserve(gpu, task.visibility_pixels() * 8);
         self.pixels.reserve(gpu, pixels * 4);
         if task.plan.runs(Pass::WriteOutput) {
             self.colors.reserve(gpu, pixels * 8);
@@ -278,7 +275,7 @@ impl Scratch {
         }
         if task.plan.runs(Pass::Pull) {
             for patches in &mut self.patches {
-                patches.reserve(gpu, views * Levels::of((width, height)).pixels() * PATCH_BYTES);
+                patches.reserve(gpu, views * Levels::of((width, height)).bytes());
             }
         }
         self.stats.reserve(gpu, views * size_of::<GpuStats>() as u64);

@@ -32,6 +32,7 @@ mod physical;
 mod point_size;
 mod precision;
 mod pull_push;
+mod pyramid;
 mod random;
 mod real;
 mod samples;

@@ -18,12 +18,17 @@ use super::stage::{Case, Frames, look};
 
 const PULL_PUSH: Reconstruct = Reconstruct::PullPush;
 
-/// The oracle's frame with the same settings.
-fn twin(case: &Case, view: &View, settings: &Settings) -> OracleFrame {
+/// The scene that the oracle draws with the same settings.
+pub fn oracle_scene<'a>(case: &'a Case, settings: &Settings) -> OracleScene<'a> {
     let splats = case.reference.description().splats;
     let reconstruction = Reconstruction::new(settings, &splats);
     let pull_push = reconstruction.pull_push().copied();
-    oracle::render(&OracleScene { pull_push, ..case.reference.scene() }, view, 1)
+    OracleScene { pull_push, ..case.reference.scene() }
+}
+
+/// The oracle's frame with the same settings.
+fn twin(case: &Case, view: &View, settings: &Settings) -> OracleFrame {
+    oracle::render(&oracle_scene(case, settings), view, 1)
 }
 
 /// Draws a frame with and without 64-bit atomics, whose images must be equal, and compares it with the oracle's.
@@ -45,7 +50,7 @@ fn check(case: &Case, view: &View, settings: Settings, least: f64) -> Frames {
     frames
 }
 
-fn pull_push() -> Settings {
+pub fn pull_push() -> Settings {
     Settings::drawn_as(PULL_PUSH)
 }
 
@@ -276,6 +281,29 @@ fn triangles_at_the_border_are_hidden_as_by_the_oracle() {
     // The ball lies across the left border, the wall behind all of the right one.
     assert!(of_border(0, 1) > 20, "{}", of_border(0, 1));
     assert_eq!(of_border(row - 1, 2), view.height as usize);
+}
+
+/// A wall behind a ball, and another ball that ends three pixels beyond the border. Along its outline, disks are seen edge-on: their radii reach
+/// over the border, and their ellipses do not.
+#[test]
+fn samples_beside_the_image_hide_nothing_in_it() {
+    let scene = json!({
+        "assets": { "c": { "file": "c.ply" }, "t": { "file": "t.ply" } },
+        "nodes": [
+            { "asset": "c" },
+            { "asset": "c", "scale": 0.4, "translate": [3.4, 0, 0] },
+            { "asset": "t" }
+        ]
+    });
+    let (u, v) = (DVec3::new(12.0, 0.0, 0.0), DVec3::new(0.0, 12.0, 0.0));
+    let wall = Shape::quad(DVec3::new(-6.0, -6.0, -1.2), u, v, 1.0);
+    let files = [("c.ply", ball(1500, 18).ply()), ("t.ply", wall.ply())];
+    let case = Case::new("pulled-beside-wall", &files, &scene);
+    let frames = case.draw_with(&look([2.63, 0.0, 3.0], [2.63, 0.0, 0.0], 40.0), pull_push());
+    assert!(frames.ran(Pass::ResolvePulled));
+    let count = |id: u32| frames.id.iter().filter(|&&shown| shown == id).count();
+    let (open, of_ball) = (count(0), count(1));
+    assert!(open == 0 && of_ball <= 8, "{open} pixels are open, {of_ball} show the ball");
 }
 
 /// Samples beyond the border of the image fill what they cover of it.

@@ -11,6 +11,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
         choices: Choices::default(),
         constants: pulled_constants(recorder),
         segments: &[None],
-        launch: over_level(recorder, width, height),
+        // The rim included.
+        launch: over_level(recorder, width + 2, height + 2),
     })
 }

@@ -4,9 +4,7 @@
 use crate::gpu::shader::ShaderError;
 use crate::passes::Levels;
 use crate::passes::recorder::Recorder;
-use crate::passes::scratch::{
-    BACKGROUND_BYTES, PAINTED_BYTES, PATCH_BYTES, SLABS_BYTES, cursors_bytes,
-};
+use crate::passes::scratch::{BACKGROUND_BYTES, PAINTED_BYTES, SLABS_BYTES, cursors_bytes};
 use crate::plan::Pass;
 use crate::residency::layout::GpuStats;
 
@@ -18,7 +16,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let ((width, height), views) = (task.size(), u64::from(task.count()));
     let pixels = views * u64::from(width) * u64::from(height);
     let mut buffers = vec![
-        (&scratch.visibility, Some(pixels * 8)),
+        (&scratch.visibility, Some(task.visibility_pixels() * 8)),
         (&scratch.stats, Some(views * size_of::<GpuStats>() as u64)),
         (&scratch.dispatches, None),
         (&scratch.portions, None),
@@ -40,7 +38,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     }
     if task.plan.runs(Pass::Pull) {
         // Pixels without a sample have no patch; coarser levels are written whole.
-        let bytes = views * Levels::of((width, height)).pixels() * PATCH_BYTES;
+        let bytes = views * Levels::of((width, height)).bytes();
         buffers.push((&scratch.patches[0], Some(bytes)));
     }
     let image = scratch.pixels.buffer().raw();

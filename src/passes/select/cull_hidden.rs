@@ -23,6 +23,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let [_, asked, testers] = spread::overrides(recorder.context.gpu.is_cpu);
     constants.extend([asked, testers]);
     constants.extend(recorder.task.reconstruction.discs().map(|_| ("DISCS", 1)));
+    constants.extend(recorder.task.reconstruction.pull_push().map(|_| ("EXPANDED", 1)));
     recorder.compute(Call {
         choices: Choices::default(),
         constants,
