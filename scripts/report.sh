@@ -33,7 +33,7 @@ if is_set "${REPORT_QUICK:-}"; then
     export BENCH_QUICK=1
     planner_scenes=scenes/relief.json planner_poses=1 audit_poses=1
 else
-    planner_scenes=scenes/town.json,scenes/relief.json,scenes/textured.json planner_poses=16 audit_poses=10
+    planner_scenes=scenes/town.json,scenes/relief.json planner_poses=20 audit_poses=10
 fi
 folder=$REPORT_FOLDER
 
