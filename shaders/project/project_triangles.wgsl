@@ -8,17 +8,12 @@
 //!include shared/triangle
 //!include shared/list
 //!include shared/lanes
+//!include shared/sorts
 //!include VOTE
 //!include PORTION
 //!include ALPHA
 
 const COUNTS: bool = FIRST_HALF;
-
-// Which slots are drawn, of pages that have both: all, opaque ones, or translucent ones.
-override SORT: u32 = 0u;
-
-const SORT_OPAQUE: u32 = 1u;
-const SORT_TRANSLUCENT: u32 = 2u;
 
 // Instances may have translucent materials of their own; what has no alpha at all is not there, whatever the output.
 fn is_of_sort(chunk: Chunk, over_plus_one: u32) -> bool {

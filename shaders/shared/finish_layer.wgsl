@@ -24,9 +24,6 @@ fn layer_of(surface: Surface, at: vec2<u32>) -> Layer {
         return layer;
     }
     let material = material_of(surface);
-    if TRANSMITS {
-        layer.alpha = select(surface.alpha, 1.0, (material.flags & MATERIAL_SOLID) != 0u);
-    }
     if TRANSMITS && (material.flags & MATERIAL_UNLIT) == 0u {
         let normal = select(vec3<f32>(0.0), surface.normal, SHADED);
         layer.passing = passing_light(surface.color, material, normal, eye_from(place_of(surface, at)));

@@ -24,3 +24,9 @@ fn may_have_words(first: u32, behind: u32) -> bool {
 fn note_triangles(count: u32) {
     atomicMax(&stats[frame.view].deepest, window.layer + 1u);
 }
+
+// Counts a thread's pixels whose fragment in this layer is a sample's.
+fn note_samples(count: u32) {
+    note_triangles(count);
+    atomicAdd(&stats[frame.view].pixels_of_samples, count);
+}

@@ -13,6 +13,11 @@ fn may_have_words(first: u32, behind: u32) -> bool {
     return true;
 }
 
+// Counts a thread's pixels that show a sample.
+fn note_samples(count: u32) {
+    atomicAdd(&stats[frame.view].pixels_of_samples, count);
+}
+
 // Counts a thread's pixels that show a triangle.
 fn note_triangles(count: u32) {
     atomicAdd(&stats[frame.view].pixels_of_triangles, count);

@@ -248,7 +248,11 @@ fn facts(model: &SceneModel, bounds: &Bounds) -> SceneFacts {
         sparse_lines: counts.segments > 0
             && model.line_area() < SPARSE_LINES * size.max_element().powi(2),
         trees: false,
-        translucent: translucent_nodes || model.assets.iter().any(|asset| asset.has_translucent()),
+        translucent: std::array::from_fn(|number| {
+            let kind = GeometryKind::ALL[number];
+            let is_of_nodes = kind == GeometryKind::Triangles && translucent_nodes;
+            is_of_nodes || model.assets.iter().any(|asset| asset.has_translucent(kind))
+        }),
         translucent_nodes,
     }
 }

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use glam::{DMat3, DVec3};
 
-use crate::assets::{Filter, Geometry, Material, Mesh, Texture};
+use crate::assets::{Filter, Geometry, Material, Mesh, PointCloud, Texture};
 use crate::math::View;
 use crate::scene::{Light, MaterialSpec};
 
@@ -91,21 +91,30 @@ impl<'a> Prepared<'a> {
         self.scene.clip.is_none_or(|clip| clip.shows(world()))
     }
 
-    /// Whether a hit is that of a translucent triangle.
+    /// Whether a hit is that of a translucent triangle or sample.
     pub fn is_translucent(&self, hit: &Hit) -> bool {
         let item = &self.items[hit.item as usize];
-        let Geometry::Mesh(mesh) = item.item.geometry else { return false };
-        let over = item.item.override_material;
-        over.is_some_and(MaterialSpec::is_translucent)
-            || item.material(mesh, hit.index).is_some_and(|material| material.translucent)
+        match item.item.geometry {
+            Geometry::Mesh(mesh) => {
+                let over = item.item.override_material;
+                over.is_some_and(MaterialSpec::is_translucent)
+                    || item.material(mesh, hit.index).is_some_and(|material| material.translucent)
+            }
+            Geometry::Points(cloud) => alpha(&cloud.colors, hit.index as usize) < 255,
+            Geometry::Lines(_) => false,
+        }
     }
 
     /// Whether anything is translucent.
     pub fn has_translucent(&self) -> bool {
-        self.items.iter().any(|item| {
-            let over = item.item.override_material;
-            over.is_some_and(MaterialSpec::is_translucent)
-                || item.item.materials.iter().any(|own| own.translucent)
+        self.items.iter().any(|item| match item.item.geometry {
+            Geometry::Points(cloud) => cloud.colors.iter().flatten().any(|color| color[3] < 255),
+            Geometry::Mesh(_) => {
+                let over = item.item.override_material;
+                over.is_some_and(MaterialSpec::is_translucent)
+                    || item.item.materials.iter().any(|own| own.translucent)
+            }
+            Geometry::Lines(_) => false,
         })
     }
 
@@ -121,6 +130,16 @@ impl<'a> Prepared<'a> {
     pub fn instance(&self, hit: &Hit) -> u32 {
         self.items[hit.item as usize].item.instance
     }
+}
+
+/// The alpha of a vertex, of 255.
+fn alpha(colors: &Option<Vec<[u8; 4]>>, index: usize) -> u8 {
+    colors.as_ref().and_then(|colors| colors.get(index)).map_or(255, |color| color[3])
+}
+
+/// Whether a sample has no alpha at all, and is not there whatever the output.
+pub fn is_clear(cloud: &PointCloud, index: usize) -> bool {
+    alpha(&cloud.colors, index) == 0
 }
 
 fn address(texture: &Texture) -> usize {

@@ -127,7 +127,10 @@ impl Occluders {
                     occluders.extend(segments.flat_map(|segment| segment_occluders(view, segment)));
                 }
                 Geometry::Points(cloud) => {
-                    let samples = 0..cloud.positions.len();
+                    let samples = (0..cloud.positions.len()).filter(|&i| {
+                        let hit = Hit { depth: 0.0, item: number, index: i as u32 };
+                        !prepared.is_translucent(&hit)
+                    });
                     occluders
                         .extend(samples.filter_map(|i| sample(prepared, view, (item, cloud, i))));
                 }

@@ -9,8 +9,8 @@
 //! 3. the WGSL file below `shaders/`; the recording function has the same path below `passes/`;
 //! 4. the suffix that the name of the pass adds to the name of the file;
 //! 5. the stages in which it is recorded; the first is the one that it belongs to;
-//! 6. whether it is recorded once a frame, once for each segment of a kind of geometry, once for each level of a pyramid, or once for
-//!    each digit of a sort ([`Per`]);
+//! 6. whether it is recorded once a frame, once for each segment of a kind of geometry, once for each level of a pyramid, once for
+//!    each digit of a sort, or once for each layer of translucent surfaces ([`Per`]);
 //! 7. the reasons to skip it. The pass runs if none of them holds.
 //!
 //! Buffers are not listed here: a shader declares what it binds, and `passes/bindings.rs` finds the buffer by its name.
@@ -79,13 +79,20 @@ macro_rules! pass_table {
             AmbientOcclusion     Compute resolve/ambient_occlusion     ""    [Resolve]           Frame     [NOT_COLOR NO_OCCLUSION WITHOUT_OCCLUSION DEPTHLESS LIT_SINGLY];
             WriteOutput          Compute resolve/write_output          ""    [Resolve]           Frame     [NOT_COLOR NO_EFFECT];
             CompositeSplats      Compute resolve/composite_splats      ""    [Resolve]           Frame     [NO_SAMPLES NOT_PAINTED];
-            ProjectTrianglesLayers      Compute project/project_triangles   "_layers"    [Layers]   Triangles [OPAQUE_SCENE NOT_COLOR];
-            RasteriseTrianglesLayers    Raster  project/rasterise_triangles "_layers"    [Layers]   Triangles [OPAQUE_SCENE NOT_COLOR WALKS];
-            WalkTrianglesLayers         Compute project/walk_triangles      "_layers"    [Layers]   Triangles [OPAQUE_SCENE NOT_COLOR RASTERISES];
-            ProjectTrianglesLayersId    Compute project/project_triangles   "_layers_id" [LayerIds] Triangles [OPAQUE_SCENE NOT_COLOR WIDE_SUMS];
-            RasteriseTrianglesLayersId  Raster  project/rasterise_triangles "_layers_id" [LayerIds] Triangles [OPAQUE_SCENE NOT_COLOR WIDE_SUMS WALKS];
-            WalkTrianglesLayersId       Compute project/walk_triangles      "_layers_id" [LayerIds] Triangles [OPAQUE_SCENE NOT_COLOR WIDE_SUMS RASTERISES];
-            ResolveTrianglesLayers      Compute resolve/resolve_triangles   "_layers"    [Composite] Frame    [OPAQUE_SCENE NOT_COLOR];
+            ProjectSamplesLayers        Compute project/project_samples     "_layers"    [Layers]   Frame     [OPAQUE_SAMPLES NOT_COLOR AS_SPLATS AS_DISCS];
+            ProjectSplatsLayers         Compute project/project_splats      "_layers"    [Layers]   Samples   [OPAQUE_SAMPLES NOT_COLOR AS_POINTS PULLED NO_DEPTHS];
+            WalkSplatsLayers            Compute project/walk_splats         "_layers"    [Layers]   Samples   [OPAQUE_SAMPLES NOT_COLOR AS_POINTS PULLED NO_DEPTHS];
+            ProjectTrianglesLayers      Compute project/project_triangles   "_layers"    [Layers]   Triangles [OPAQUE_TRIANGLES NOT_COLOR];
+            RasteriseTrianglesLayers    Raster  project/rasterise_triangles "_layers"    [Layers]   Triangles [OPAQUE_TRIANGLES NOT_COLOR WALKS];
+            WalkTrianglesLayers         Compute project/walk_triangles      "_layers"    [Layers]   Triangles [OPAQUE_TRIANGLES NOT_COLOR RASTERISES];
+            ProjectSamplesLayersId      Compute project/project_samples     "_layers_id" [LayerIds] Frame     [OPAQUE_SAMPLES NOT_COLOR AS_SPLATS AS_DISCS WIDE_SUMS];
+            ProjectSplatsLayersId       Compute project/project_splats      "_layers_id" [LayerIds] Samples   [OPAQUE_SAMPLES NOT_COLOR AS_POINTS PULLED NO_DEPTHS WIDE_SUMS];
+            WalkSplatsLayersId          Compute project/walk_splats         "_layers_id" [LayerIds] Samples   [OPAQUE_SAMPLES NOT_COLOR AS_POINTS PULLED NO_DEPTHS WIDE_SUMS];
+            ProjectTrianglesLayersId    Compute project/project_triangles   "_layers_id" [LayerIds] Triangles [OPAQUE_TRIANGLES NOT_COLOR WIDE_SUMS];
+            RasteriseTrianglesLayersId  Raster  project/rasterise_triangles "_layers_id" [LayerIds] Triangles [OPAQUE_TRIANGLES NOT_COLOR WIDE_SUMS WALKS];
+            WalkTrianglesLayersId       Compute project/walk_triangles      "_layers_id" [LayerIds] Triangles [OPAQUE_TRIANGLES NOT_COLOR WIDE_SUMS RASTERISES];
+            ResolveSamplesLayers        Compute resolve/resolve_samples     "_layers"    [Composite] Layer    [OPAQUE_SAMPLES NOT_COLOR];
+            ResolveTrianglesLayers      Compute resolve/resolve_triangles   "_layers"    [Composite] Layer    [OPAQUE_TRIANGLES NOT_COLOR];
             CompositeLayers             Compute resolve/composite_layers    ""           [Composite] Frame    [OPAQUE_SCENE NOT_COLOR];
             Average              Compute resolve/average               ""    [Finish]            Frame     [NOT_AVERAGED EXPOSED];
             Accumulate           Compute resolve/accumulate            ""    [Finish]            Frame     [NOT_COLOR NOT_EXPOSED];
@@ -162,9 +169,12 @@ pub enum Per {
     Finer,
     /// Each digit of the keys that splats are sorted by. Consecutive passes take turns digit by digit.
     Digit,
+    /// Each layer of translucent surfaces, the nearest first. Consecutive passes take turns layer by layer; a single one goes through all
+    /// of them at once.
+    Layer,
 }
 
-/// Makes a [`Per`] of the word in the table: `Frame`, `Coarser`, `Finer`, `Digit`, or a kind of geometry.
+/// Makes a [`Per`] of the word in the table: `Frame`, `Coarser`, `Finer`, `Digit`, `Layer`, or a kind of geometry.
 macro_rules! per {
     (Frame) => {
         Per::Frame
@@ -177,6 +187,9 @@ macro_rules! per {
     };
     (Digit) => {
         Per::Digit
+    };
+    (Layer) => {
+        Per::Layer
     };
     ($kind:ident) => {
         Per::Segment(GeometryKind::$kind)
@@ -254,7 +267,9 @@ reasons! {
     EXPOSED: "the parts of pixels are averaged with the exposures", |f| f.frame.is_exposed;
     NOT_EXPOSED: "the frame is a single exposure: it has no aperture, and no path moves its camera while a shutter is open",
         |f| !f.frame.is_exposed;
-    OPAQUE_SCENE: "the scene has no translucent triangles", |f| !f.scene.translucent;
+    OPAQUE_SCENE: "nothing in the scene is translucent", |f| !f.scene.has_translucent();
+    OPAQUE_SAMPLES: "the scene has no translucent samples", |f| !f.scene.is_translucent(GeometryKind::Samples);
+    OPAQUE_TRIANGLES: "the scene has no translucent triangles", |f| !f.scene.is_translucent(GeometryKind::Triangles);
     IDS: "the output is id", |f| f.frame.output == super::Output::Id;
     // `FramePlan::with_identities` makes it run.
     NOT_PICKED: "no pixel is picked", |_| true;

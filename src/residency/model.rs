@@ -117,9 +117,9 @@ impl AssetModel {
         self.outlined.get_or_init(|| Outline::of_all(&self.packed.geometries))
     }
 
-    /// Whether something shows through some of its triangles.
-    pub fn has_translucent(&self) -> bool {
-        let geometries = self.packed.geometries.iter();
+    /// Whether something shows through some of its elements of a kind.
+    pub fn has_translucent(&self, kind: GeometryKind) -> bool {
+        let geometries = self.packed.geometries.iter().filter(|geometry| geometry.kind() == kind);
         geometries.flat_map(|geometry| geometry.chunks()).any(|chunk| chunk.translucent)
     }
 

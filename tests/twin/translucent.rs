@@ -1,9 +1,11 @@
-//! Translucent surfaces, in the order of their depths.
+//! Translucent surfaces and points, in the order of their depths.
 
 use glam::{DVec3, Vec3};
 use pointillist::accuracy::metrics;
 use pointillist::math::View;
-use pointillist::plan::{Antialias, Edl, Lod, Pass, Reconstruct, Settings};
+use pointillist::oracle::{self, OracleScene};
+use pointillist::plan::{Antialias, Edl, Lod, Pass, Reconstruct, Settings, Shadows};
+use pointillist::scene::Filter;
 use serde_json::{Value, json};
 
 use super::files::{Glb, Shape, picture};
@@ -274,6 +276,69 @@ fn glass_among_splats() {
     }
     let settings = Settings::drawn_as(Reconstruct::Splats);
     splats::check(&case, &view, settings, settings, 40.0);
+}
+
+/// Points of every alpha in and about two panes that cross and something opaque.
+fn mist(name: &str, count: usize) -> Case {
+    let mut glb = Glb::new();
+    let parts = [
+        (pane(DVec3::ZERO, 25.0), glass([0.9, 0.2, 0.1, 0.4])),
+        (pane(DVec3::ZERO, 115.0), glass([0.1, 0.3, 0.9, 0.6])),
+        (Shape::ball(20, 0.4), solid([0.7, 0.7, 0.5])),
+    ];
+    for (shape, material) in parts {
+        let material = glb.material(material);
+        let mesh = glb.mesh(&shape, Some(material));
+        glb.node(mesh, json!({}));
+    }
+    let mut cloud = Shape::cloud(count, [-0.9; 3], [0.9; 3], 17).without_normals();
+    let alphas = [255, 128, 40, 200, 0].into_iter().cycle();
+    cloud.colors.iter_mut().zip(alphas).for_each(|(color, alpha)| color[3] = alpha);
+    // Splats as large as their spacing would be more layers than are kept.
+    cloud.fields = vec![("radius", "float", vec![0.03; count])];
+    let scene = json!({ "assets": { "m": { "file": "m.glb" }, "c": { "file": "c.ply" } },
+        "nodes": [{ "asset": "m" }, { "asset": "c" }] });
+    Case::new(name, &[("m.glb", glb.finish()), ("c.ply", cloud.ply())], &scene)
+}
+
+/// Points among glass: each is a layer of its pixel. Those without alpha are in no output.
+#[test]
+fn points_among_panes() {
+    let case = mist("mist", 4000);
+    let frames = case.check(&view(), &Tolerance::default());
+    assert!(frames.ran(Pass::ProjectSamplesLayers) && frames.ran(Pass::ResolveSamplesLayers));
+    assert!(frames.ran(Pass::ProjectSamples) && frames.ran(Pass::ResolveTrianglesLayers));
+    let drawn = frames.receipt.translucent.unwrap();
+    assert!(drawn.deepest >= 3 && drawn.deepest < 8, "{drawn:?}");
+    assert!(frames.receipt.samples.drawn.unwrap() > 1000);
+    // Point trees have opaque nodes.
+    let tree = Settings { lod: Lod::Spt, ..Settings::drawn_as(Reconstruct::Points) };
+    let tree = case.draw_wide(&view(), tree);
+    assert!(tree.receipt.settings.full_because.is_some() && tree.same_pixels(&frames));
+}
+
+/// Discs and the disks of splats are flat: each pixel that they cover has their alpha.
+#[test]
+fn disks_among_panes() {
+    let case = mist("mist-disks", 500);
+    let sized = Settings { point_size_px: 5.0.into(), ..Settings::drawn_as(Reconstruct::Points) };
+    for settings in [sized, splats::splats(Filter::Perspective)] {
+        let frames = case.draw_with(&view(), Settings { shadows: Shadows::Off, ..settings });
+        let twin = if settings.has_point_size() {
+            let scene = OracleScene { discs: settings.discs(), ..case.reference.scene() };
+            oracle::render(&scene, &view(), 1)
+        } else {
+            splats::oracle(&case, &view(), settings)
+        };
+        let psnr = metrics::psnr(&twin.to_rgba8(), &frames.color).unwrap();
+        println!("{psnr:.1} dB, {:?}", frames.receipt.translucent);
+        if psnr < 45.0 {
+            splats::save_both(&case, &view(), twin.to_rgba8(), frames.color.clone());
+            panic!("{psnr:.1} dB: {settings:?}");
+        }
+        assert!(frames.ran(Pass::ProjectSplatsLayers) && frames.ran(Pass::WalkSplatsLayers));
+        assert!(!frames.ran(Pass::ProjectSamplesLayers));
+    }
 }
 
 /// Parts of pixels are composited before they are averaged, as the reference does it.

@@ -54,7 +54,7 @@ impl Ground {
             occlusion: some(),
             sparse_lines: some(),
             trees: false,
-            translucent: triangles > 0 && some(),
+            translucent: [samples > 0 && some(), triangles > 0 && some(), false],
             translucent_nodes: false,
         };
         let adapter = AdapterFacts {
