@@ -51,7 +51,7 @@ const CHUNK_ORIENTED: u32 = 1u;
 const CHUNK_CLOSED: u32 = 2u;
 // Nodes are strictly sorted by their parents' errors.
 const CHUNK_SORTED: u32 = 4u;
-// Surfaces behind all of its triangles, or behind some of its samples, show through.
+// Surfaces behind all of its triangles, or behind some of its samples or segments, show through.
 const CHUNK_TRANSLUCENT: u32 = 8u;
 
 // Up to 1024 neighbouring elements of one kind.

@@ -2,8 +2,8 @@
 //! which transmit no light are opaque.
 
 use super::{
-    Asset, AssetError, Geometry, LEAST_ALPHA, Material, Mesh, MeshPart, PointCloud, ReadOptions,
-    texture,
+    Asset, AssetError, Geometry, LEAST_ALPHA, Material, Mesh, MeshPart, PointCloud, Polylines,
+    ReadOptions, texture,
 };
 
 /// Makes translucent materials opaque where nothing that they are made of lets light through. Many exporters call all materials
@@ -72,12 +72,15 @@ pub(super) fn from_vertex_colors(
     Ok(())
 }
 
-/// Makes points opaque where every one has alpha 0: exporters mean that there is none.
+/// Makes points and lines opaque where every vertex has alpha 0: exporters mean that there is none.
 pub(super) fn fill_unwritten(asset: &mut Asset) {
     for geometry in &mut asset.geometries {
-        if let Geometry::Points(PointCloud { colors: Some(colors), .. }) = geometry
-            && colors.iter().all(|color| color[3] == 0)
-        {
+        let (Geometry::Points(PointCloud { colors: Some(colors), .. })
+        | Geometry::Lines(Polylines { colors: Some(colors), .. })) = geometry
+        else {
+            continue;
+        };
+        if colors.iter().all(|color| color[3] == 0) {
             colors.iter_mut().for_each(|color| color[3] = 255);
         }
     }

@@ -71,7 +71,11 @@ fn translucent(facts: &SceneFacts) -> Option<&'static str> {
     if facts.translucent_nodes {
         return Some("nodes have translucent colours");
     }
-    facts.is_translucent(GeometryKind::Samples).then_some("the scene has translucent samples")
+    let kinds = [
+        (GeometryKind::Samples, "the scene has translucent samples"),
+        (GeometryKind::Lines, "the scene has translucent lines"),
+    ];
+    kinds.into_iter().find(|&(kind, _)| facts.is_translucent(kind)).map(|(_, what)| what)
 }
 
 /// Chooses how samples are drawn where the request leaves it open, as if all normals and kernels were there.

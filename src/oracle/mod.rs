@@ -17,7 +17,7 @@
 //!    is open to ambient light. (`occlusion` estimates that from an image, as the renderer does.)
 //! 5. `edl`: eye-dome lighting, where it is asked for.
 //! 6. `fog`: what fog leaves of all that, and of the background, where the scene has some.
-//! 7. `composite`: translucent triangles and samples over all that, in the order of their depths. Depths, normals and ids are those of the nearest
+//! 7. `composite`: translucent triangles, lines and samples over all that, in the order of their depths. Depths, normals and ids are those of the nearest
 //!    surface, translucent or not.
 //!
 //! Work is split by rows of the image; the order of primitives does not matter to the result, so that it
@@ -211,7 +211,7 @@ impl Shown {
     }
 }
 
-/// Hits of the pixels of a frame, or of its `fineness` × `fineness` sub-pixels. `opaque`: without translucent triangles and samples.
+/// Hits of the pixels of a frame, or of its `fineness` × `fineness` sub-pixels. `opaque`: without what is translucent.
 fn shown(prepared: &Prepared<'_>, view: &View, fineness: u32, opaque: bool) -> Vec<Shown> {
     let hits = visibility::resolve(prepared, view, fineness, opaque);
     let or_hit = |hit: Option<Hit>| hit.map_or(Shown::Nothing, Shown::Hit);

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use glam::{DMat3, DVec3};
 
-use crate::assets::{Filter, Geometry, Material, Mesh, PointCloud, Texture};
+use crate::assets::{Filter, Geometry, Material, Mesh, PointCloud, Polylines, Texture};
 use crate::math::View;
 use crate::scene::{Light, MaterialSpec};
 
@@ -91,7 +91,7 @@ impl<'a> Prepared<'a> {
         self.scene.clip.is_none_or(|clip| clip.shows(world()))
     }
 
-    /// Whether a hit is that of a translucent triangle or sample.
+    /// Whether a hit is that of a translucent triangle, sample or segment.
     pub fn is_translucent(&self, hit: &Hit) -> bool {
         let item = &self.items[hit.item as usize];
         match item.item.geometry {
@@ -101,20 +101,22 @@ impl<'a> Prepared<'a> {
                     || item.material(mesh, hit.index).is_some_and(|material| material.translucent)
             }
             Geometry::Points(cloud) => alpha(&cloud.colors, hit.index as usize) < 255,
-            Geometry::Lines(_) => false,
+            Geometry::Lines(lines) => ends_of(lines, hit.index).into_iter().any(|a| a < 255),
         }
     }
 
     /// Whether anything is translucent.
     pub fn has_translucent(&self) -> bool {
         self.items.iter().any(|item| match item.item.geometry {
-            Geometry::Points(cloud) => cloud.colors.iter().flatten().any(|color| color[3] < 255),
+            Geometry::Points(PointCloud { colors, .. })
+            | Geometry::Lines(Polylines { colors, .. }) => {
+                colors.iter().flatten().any(|color| color[3] < 255)
+            }
             Geometry::Mesh(_) => {
                 let over = item.item.override_material;
                 over.is_some_and(MaterialSpec::is_translucent)
                     || item.item.materials.iter().any(|own| own.translucent)
             }
-            Geometry::Lines(_) => false,
         })
     }
 
@@ -135,6 +137,16 @@ impl<'a> Prepared<'a> {
 /// The alpha of a vertex, of 255.
 fn alpha(colors: &Option<Vec<[u8; 4]>>, index: usize) -> u8 {
     colors.as_ref().and_then(|colors| colors.get(index)).map_or(255, |color| color[3])
+}
+
+/// The alpha of both ends of a segment, of 255.
+fn ends_of(lines: &Polylines, vertex: u32) -> [u8; 2] {
+    [0, 1].map(|end| alpha(&lines.colors, vertex as usize + end))
+}
+
+/// Whether a segment has no alpha at all, and is not there whatever the output.
+pub fn is_clear_line(lines: &Polylines, vertex: u32) -> bool {
+    ends_of(lines, vertex) == [0, 0]
 }
 
 /// Whether a sample has no alpha at all, and is not there whatever the output.

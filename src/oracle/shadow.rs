@@ -121,7 +121,9 @@ impl Occluders {
                     }));
                 }
                 Geometry::Lines(lines) => {
-                    let segments = lines.segments();
+                    let segments = lines.segments().filter(|&index| {
+                        !prepared.is_translucent(&Hit { depth: 0.0, item: number, index })
+                    });
                     let segments =
                         segments.filter_map(|vertex| lines::casting(item, lines, vertex));
                     occluders.extend(segments.flat_map(|segment| segment_occluders(view, segment)));

@@ -114,8 +114,8 @@ pub fn pixel_ray(view: &View, x: usize, y: usize) -> DVec3 {
 }
 
 /// The hit of every pixel of a frame, or of its `fineness` × `fineness` sub-pixels: samples cover
-/// whole pixels, triangles the fine ones. Samples that are drawn as splats give no hits. `opaque`: translucent triangles and samples
-/// give none either.
+/// whole pixels, triangles the fine ones. Samples that are drawn as splats give no hits. `opaque`: what is translucent gives none
+/// either.
 pub fn resolve(
     prepared: &Prepared<'_>,
     view: &View,
@@ -134,13 +134,13 @@ pub fn resolve(
             add_triangles(prepared, &fine_view, &mut fine, (number as u32, item, mesh), keep);
         }
         if let Geometry::Lines(lines) = item.item.geometry {
-            lines::add(prepared, &fine_view, &mut fine, (number as u32, item, lines));
+            lines::add(prepared, &fine_view, &mut fine, (number as u32, item, lines), keep);
         }
     }
     fine
 }
 
-/// All hits of translucent triangles and samples of every pixel of a view, or of its `fineness` × `fineness` sub-pixels, the nearest
+/// All hits of translucent triangles, lines and samples of every pixel of a view, or of its `fineness` × `fineness` sub-pixels, the nearest
 /// first. Translucent splats are not blended with each other: each is where its disk is.
 pub fn layers(prepared: &Prepared<'_>, view: &View, fineness: u32) -> Vec<Vec<Hit>> {
     let keep = |kept: &mut Vec<Hit>, hit| {
@@ -154,13 +154,23 @@ pub fn layers(prepared: &Prepared<'_>, view: &View, fineness: u32) -> Vec<Vec<Hi
         if let Geometry::Mesh(mesh) = item.item.geometry {
             add_triangles(prepared, view, &mut layers, (number as u32, item, mesh), keep);
         }
+        if let Geometry::Lines(lines) = item.item.geometry {
+            lines::add(prepared, view, &mut layers, (number as u32, item, lines), keep);
+        }
     }
     if let Some(splats) = &prepared.scene.splats {
         blend::add_disks(prepared, view, &splats::Settings::new(splats, fineness), &mut layers);
     }
-    for hits in &mut layers {
+    let width = view.width as usize;
+    layers.par_iter_mut().enumerate().for_each(|(pixel, hits)| {
         hits.sort_by(|a, b| order(prepared, a, b));
-    }
+        let ray = pixel_ray(view, pixel % width, pixel / width);
+        let mut before = None;
+        hits.retain(|hit| {
+            let last = before.replace(*hit);
+            !last.is_some_and(|last| lines::is_joint(prepared, view, &last, hit, ray))
+        });
+    });
     layers
 }
 

@@ -209,9 +209,10 @@ pub struct Step {
 }
 
 impl Step {
-    /// Whether its passes take turns layer by layer.
+    /// Whether its passes take turns layer by layer. Tubes and ribbons have pipelines of their own, which take turns as well.
     pub fn takes_turns(&self) -> bool {
-        self.per == Per::Layer && self.passes.len() > 1
+        let has_lines = self.passes.contains(&Pass::ResolveLinesLayers);
+        self.per == Per::Layer && (has_lines || self.passes.len() > 1)
     }
 }
 

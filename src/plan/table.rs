@@ -85,14 +85,19 @@ macro_rules! pass_table {
             ProjectTrianglesLayers      Compute project/project_triangles   "_layers"    [Layers]   Triangles [OPAQUE_TRIANGLES NOT_COLOR];
             RasteriseTrianglesLayers    Raster  project/rasterise_triangles "_layers"    [Layers]   Triangles [OPAQUE_TRIANGLES NOT_COLOR WALKS];
             WalkTrianglesLayers         Compute project/walk_triangles      "_layers"    [Layers]   Triangles [OPAQUE_TRIANGLES NOT_COLOR RASTERISES];
+            ProjectLinesLayers          Compute project/project_lines       "_layers"    [Layers]   Lines     [OPAQUE_LINES NOT_COLOR];
+            WalkLinesLayers             Compute project/walk_lines          "_layers"    [Layers]   Lines     [OPAQUE_LINES NOT_COLOR];
             ProjectSamplesLayersId      Compute project/project_samples     "_layers_id" [LayerIds] Frame     [OPAQUE_SAMPLES NOT_COLOR AS_SPLATS AS_DISCS WIDE_SUMS];
             ProjectSplatsLayersId       Compute project/project_splats      "_layers_id" [LayerIds] Samples   [OPAQUE_SAMPLES NOT_COLOR AS_POINTS PULLED NO_DEPTHS WIDE_SUMS];
             WalkSplatsLayersId          Compute project/walk_splats         "_layers_id" [LayerIds] Samples   [OPAQUE_SAMPLES NOT_COLOR AS_POINTS PULLED NO_DEPTHS WIDE_SUMS];
             ProjectTrianglesLayersId    Compute project/project_triangles   "_layers_id" [LayerIds] Triangles [OPAQUE_TRIANGLES NOT_COLOR WIDE_SUMS];
             RasteriseTrianglesLayersId  Raster  project/rasterise_triangles "_layers_id" [LayerIds] Triangles [OPAQUE_TRIANGLES NOT_COLOR WIDE_SUMS WALKS];
             WalkTrianglesLayersId       Compute project/walk_triangles      "_layers_id" [LayerIds] Triangles [OPAQUE_TRIANGLES NOT_COLOR WIDE_SUMS RASTERISES];
+            ProjectLinesLayersId        Compute project/project_lines       "_layers_id" [LayerIds] Lines     [OPAQUE_LINES NOT_COLOR WIDE_SUMS];
+            WalkLinesLayersId           Compute project/walk_lines          "_layers_id" [LayerIds] Lines     [OPAQUE_LINES NOT_COLOR WIDE_SUMS];
             ResolveSamplesLayers        Compute resolve/resolve_samples     "_layers"    [Composite] Layer    [OPAQUE_SAMPLES NOT_COLOR];
             ResolveTrianglesLayers      Compute resolve/resolve_triangles   "_layers"    [Composite] Layer    [OPAQUE_TRIANGLES NOT_COLOR];
+            ResolveLinesLayers          Compute resolve/resolve_lines       "_layers"    [Composite] Layer    [OPAQUE_LINES NOT_COLOR];
             CompositeLayers             Compute resolve/composite_layers    ""           [Composite] Frame    [OPAQUE_SCENE NOT_COLOR];
             Average              Compute resolve/average               ""    [Finish]            Frame     [NOT_AVERAGED EXPOSED];
             Accumulate           Compute resolve/accumulate            ""    [Finish]            Frame     [NOT_COLOR NOT_EXPOSED];
@@ -169,8 +174,8 @@ pub enum Per {
     Finer,
     /// Each digit of the keys that splats are sorted by. Consecutive passes take turns digit by digit.
     Digit,
-    /// Each layer of translucent surfaces, the nearest first. Consecutive passes take turns layer by layer; a single one goes through all
-    /// of them at once.
+    /// Each layer of translucent surfaces, the nearest first. Consecutive passes take turns layer by layer, and lines do in any case; another
+    /// pass that is alone goes through all layers at once.
     Layer,
 }
 
@@ -270,6 +275,7 @@ reasons! {
     OPAQUE_SCENE: "nothing in the scene is translucent", |f| !f.scene.has_translucent();
     OPAQUE_SAMPLES: "the scene has no translucent samples", |f| !f.scene.is_translucent(GeometryKind::Samples);
     OPAQUE_TRIANGLES: "the scene has no translucent triangles", |f| !f.scene.is_translucent(GeometryKind::Triangles);
+    OPAQUE_LINES: "the scene has no translucent lines", |f| !f.scene.is_translucent(GeometryKind::Lines);
     IDS: "the output is id", |f| f.frame.output == super::Output::Id;
     // `FramePlan::with_identities` makes it run.
     NOT_PICKED: "no pixel is picked", |_| true;

@@ -215,6 +215,23 @@ fn translucent_samples_take_passes_by_how_they_are_drawn() {
 }
 
 #[test]
+fn translucent_lines_take_turns_with_each_other() {
+    let counts = Counts { segments: 1, triangles: 0, ..TRIANGLES };
+    let opaque = SceneFacts { counts, ..Default::default() };
+    let smoke = SceneFacts { translucent: [false, false, true], ..opaque };
+    let plan_of = |facts: &SceneFacts| plan(facts, Output::Color, &POINTS, &WIDE);
+    let layers = |facts: &SceneFacts| {
+        let names = running(&plan_of(facts)).into_iter().map(Pass::name);
+        names.filter(|name| name.contains("layers")).collect::<Vec<_>>()
+    };
+    let passes = ["project_lines_layers", "walk_lines_layers"];
+    assert_eq!(layers(&smoke), [passes, ["resolve_lines_layers", "composite_layers"]].concat());
+    assert!(layers(&opaque).is_empty());
+    let steps = plan_of(&smoke).steps();
+    assert!(steps.iter().any(|step| step.per == Per::Layer && step.takes_turns()));
+}
+
+#[test]
 fn layers_of_several_kinds_are_resolved_in_turns() {
     let facts = SceneFacts { counts: BOTH, ..Default::default() };
     let turns = |translucent| {

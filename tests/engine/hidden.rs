@@ -110,7 +110,13 @@ fn load(studio: &Studio) {
             "fog": { "color": "#a0b0c0", "density": 0.05, "scale_height": 2 },
         }),
     );
-    // Translucent points, and nothing else.
+    // Translucent points, translucent lines, and nothing else.
+    let smoke = bundle() + "COLOR_SCALARS rgba 4\n" + &"0.3 0.6 0.9 0.5\n".repeat(720);
+    studio.write("smoke.vtk", smoke);
+    studio.load_json(
+        "smoke",
+        &json!({ "assets": { "smoke": { "file": "smoke.vtk" } }, "nodes": [{ "asset": "smoke" }] }),
+    );
     studio.write("mist.ply", mist());
     studio.load_json(
         "mist",
@@ -254,7 +260,8 @@ fn every_pass_is_recorded_by_some_frame_in_the_order_of_the_table() {
         let rows = settings().into_iter().take(10).chain([shaped, fine, lens]);
         let points = Settings::drawn_as(Reconstruct::Points);
         let splats = Settings::drawn_as(Reconstruct::Splats);
-        let translucent = [("glass", points), ("mist", points), ("mist", splats)];
+        let translucent =
+            [("glass", points), ("mist", points), ("mist", splats), ("smoke", points)];
         let frames = rows.map(|settings| ("rows", settings)).chain(translucent);
         for (scene, settings) in frames {
             let scene = scene.to_owned();

@@ -1,4 +1,4 @@
-//! Translucent surfaces and points, in the order of their depths.
+//! Translucent surfaces, points and lines, in the order of their depths.
 
 use glam::{DVec3, Vec3};
 use pointillist::accuracy::metrics;
@@ -9,6 +9,7 @@ use pointillist::scene::Filter;
 use serde_json::{Value, json};
 
 use super::files::{Glb, Shape, picture};
+use super::lines;
 use super::splats;
 use super::stage::{Case, Frames, look};
 use super::verdict::Tolerance;
@@ -338,6 +339,58 @@ fn disks_among_panes() {
         }
         assert!(frames.ran(Pass::ProjectSplatsLayers) && frames.ran(Pass::WalkSplatsLayers));
         assert!(!frames.ran(Pass::ProjectSamplesLayers));
+    }
+}
+
+/// Tubes and ribbons among panes. Where segments of a tube meet, they lie over each other and count once; where strands cross, each counts.
+#[test]
+fn lines_among_panes() {
+    let strands = lines::scattered(10, [0.05, 0.12], 5);
+    let normals = vec![DVec3::Z; strands.iter().flatten().count()];
+    let mut glb = Glb::new();
+    let material = glb.material(glass([0.9, 0.2, 0.1, 0.4]));
+    let mesh = glb.mesh(&pane(DVec3::ZERO, 25.0), Some(material));
+    glb.node(mesh, json!({}));
+    let glb = glb.finish();
+    for (name, plain) in [
+        ("smoke-tubes", lines::vtk(&strands)),
+        ("smoke-ribbons", lines::ribbons(&strands, &normals)),
+    ] {
+        let file = lines::with_alpha(plain, 0.5);
+        let scene = json!({ "assets": { "m": { "file": "m.glb" }, "l": { "file": "l.vtk" } },
+            "nodes": [{ "asset": "m" }, { "asset": "l" }] });
+        let case = Case::new(name, &[("m.glb", glb.clone()), ("l.vtk", file)], &scene);
+        let points = Settings::drawn_as(Reconstruct::Points);
+        let frames = case.draw_with(&view(), Settings { shadows: Shadows::Off, ..points });
+        let exact = case.reference.frame(&view(), 1).to_rgba8();
+        let psnr = metrics::psnr(&exact, &frames.color).unwrap();
+        println!("{name}: {psnr:.1} dB, {:?}", frames.receipt.translucent);
+        if psnr < 45.0 {
+            splats::save_both(&case, &view(), exact, frames.color.clone());
+            panic!("{name}: {psnr:.1} dB");
+        }
+        assert!(frames.ran(Pass::ProjectLinesLayers) && frames.ran(Pass::ResolveLinesLayers));
+        let tree = case.draw_wide(&view(), Settings { lod: Lod::Spt, ..points });
+        assert!(tree.receipt.settings.full_because.is_some(), "levels of detail lack alpha");
+    }
+}
+
+/// A line far thinner than a pixel dims what is behind it by its alpha times its width, in every pixel that it crosses.
+#[test]
+fn thin_lines_cover_by_their_width() {
+    let place = |x: f64| (DVec3::new(x, 0.013, 0.0), 0.004, [0; 3]);
+    let file = lines::with_alpha(lines::vtk(&[vec![place(-1.0), place(1.0)]]), 0.5);
+    let scene = json!({ "assets": { "l": { "file": "l.vtk" } }, "nodes": [{ "asset": "l" }],
+        "lights": [], "background": "#ffffff" });
+    let case = Case::new("thin-smoke", &[("l.vtk", file)], &scene);
+    let view = look([0.0, 0.0, 4.0], [0.0; 3], 45.0);
+    let frames = case.draw_with(&view, Settings::drawn_as(Reconstruct::Points));
+    // Its width in pixels: 120 pixels show 2 · 4 · tan(22.5°) units.
+    let width_px = 0.008 * 120.0 / (8.0 * 22.5f64.to_radians().tan());
+    let expected = pointillist::scene::color::srgb_from_linear(1.0 - 0.5 * width_px) * 255.0;
+    for x in [60, 80, 100] {
+        let darkest = (0..120).map(|y| frames.color[y * 160 + x][0]).min().unwrap();
+        assert!((f64::from(darkest) - expected).abs() < 2.0, "{darkest} at {x}, not {expected}");
     }
 }
 

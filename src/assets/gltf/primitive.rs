@@ -203,12 +203,8 @@ impl<'a> Primitives<'a> {
         if mode == Mode::Points {
             return self.points(attributes, primitive.indices.is_some(), indices, own, place);
         }
-        let tint = own.map(|own| {
-            let [r, g, b, _] = own.base_color;
-            [r, g, b]
-        });
         if matches!(mode, Mode::Lines | Mode::LineLoop | Mode::LineStrip) {
-            return self.lines(primitive, mode, &attributes, &indices, tint, place);
+            return self.lines(primitive, mode, &attributes, &indices, own, place);
         }
         let triangles = self.triangles(mode, &indices, place)?;
         let number = material.map(|(number, _)| match &attributes.uvs {
@@ -424,7 +420,7 @@ impl Attributes {
     }
 }
 
-/// The colour of a point of a material. Alpha counts where the material blends or has a cut-off.
+/// The colour of a vertex of points or lines of a material. Alpha counts where the material blends or has a cut-off.
 fn painted(color: [u8; 4], material: &Material) -> [u8; 4] {
     let [red, green, blue, factor] = material.base_color;
     let [r, g, b, own] = tinted(color, [red, green, blue]);

@@ -54,7 +54,7 @@ impl Ground {
             occlusion: some(),
             sparse_lines: some(),
             trees: false,
-            translucent: [samples > 0 && some(), triangles > 0 && some(), false],
+            translucent: [samples > 0 && some(), triangles > 0 && some(), segments > 0 && some()],
             translucent_nodes: false,
         };
         let adapter = AdapterFacts {
