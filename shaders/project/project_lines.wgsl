@@ -13,6 +13,7 @@
 const COUNTS: bool = FIRST_HALF;
 
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
+@group(1) @binding(3) var<storage, read> instances: array<Instance>;
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
 @group(2) @binding(3) var<storage, read> placed: array<Placed>;
 
@@ -51,7 +52,7 @@ fn segment_of_slot(slot_index: u32, at: Placed, scale: f32, chunk: Chunk, index:
     bounds.low.y = max(bounds.low.y, drawn.x);
     bounds.high.y = min(bounds.high.y, drawn.y - 1);
     bounds.is_seen = bounds.is_seen && bounds.low.y <= bounds.high.y
-        && level_is_drawn(seen.line, chunk, scale) && is_drawn_with(line_alpha(seen.line));
+        && level_is_drawn(seen.line, chunk, scale) && is_drawn_with(line_alpha(seen.line), instances[slots[frame.first_slot + slot_index].instance].flags);
     let columns = u32(bounds.high.x - bounds.low.x + 1);
     let pixels = columns * most_rows(bounds);
     let is_small = columns <= most_columns() && pixels <= most_pixels();

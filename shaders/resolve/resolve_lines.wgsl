@@ -171,7 +171,7 @@ fn resolve(column: Column) {
     let word_b = line_vertices[seen.line.words.y + 3u];
     let color_a = linear_color(word_a);
     let color_b = linear_color(word_b);
-    surface.alpha = mix(unpack4x8unorm(word_a).a, unpack4x8unorm(word_b).a, share);
+    surface.alpha = material.base_color.a * mix(unpack4x8unorm(word_a).a, unpack4x8unorm(word_b).a, share);
     // A strip is a pixel wide where the line is thinner.
     if SORT == SORT_TRANSLUCENT && hit.triangle == 0u {
         surface.alpha *= min(hit.width_px, 1.0);

@@ -29,7 +29,7 @@ fn resolve(column: Column) {
             surface.normal = facing_normal(turned(normal_map(instance), octahedral_decode(packed.y)), way);
             surface.is_ball = is_ball(packed);
         }
-        surface.alpha = f32(packed.x >> 24u) / 255.0;
+        surface.alpha = sample_alpha(packed.x, instances[instance].material);
         if SHOWS_FIELD {
             surface.color = linear_color(field_color(sample, instance));
         } else {

@@ -72,7 +72,7 @@ fn shown_slot(slot: u32) -> Shown {
         shown.normals = normal_map(instance);
     }
     if MAPS {
-        shown.mirrored = instances[instance].mirrored != 0u;
+        shown.mirrored = (instances[instance].flags & INSTANCE_MIRRORED) != 0u;
     }
     if needs_color() || needs_maps() {
         shown.material = materials[chunks[chunk].material];

@@ -51,7 +51,7 @@ fn gather(group: vec3<u32>, lane: u32) -> Tally {
                     continue;
                 }
             }
-            if !is_drawn_with(attributes[slot.first + i].x >> 24u) {
+            if !is_drawn_with(attributes[slot.first + i].x >> 24u, instances[slot.instance].flags) {
                 continue;
             }
             gathered |= 1u << ((i - base) / LANES);

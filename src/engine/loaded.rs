@@ -234,7 +234,8 @@ fn casting_lights(model: &SceneModel) -> usize {
 fn facts(model: &SceneModel, bounds: &Bounds) -> SceneFacts {
     let counts = model.counts();
     let size = if bounds.is_empty() { DVec3::ZERO } else { bounds.max - bounds.min };
-    let translucent_nodes = model.has_translucent_overrides();
+    let translucent_nodes: [bool; GeometryKind::ALL.len()] =
+        std::array::from_fn(|number| model.has_translucent_overrides(GeometryKind::ALL[number]));
     SceneFacts {
         counts,
         has_normals: model.assets.iter().any(|asset| asset.has_normals),
@@ -249,11 +250,11 @@ fn facts(model: &SceneModel, bounds: &Bounds) -> SceneFacts {
             && model.line_area() < SPARSE_LINES * size.max_element().powi(2),
         trees: false,
         translucent: std::array::from_fn(|number| {
-            let kind = GeometryKind::ALL[number];
-            let is_of_nodes = kind == GeometryKind::Triangles && translucent_nodes;
-            is_of_nodes || model.assets.iter().any(|asset| asset.has_translucent(kind))
+            let has_translucent =
+                |asset: &Arc<AssetModel>| asset.has_translucent(GeometryKind::ALL[number]);
+            translucent_nodes[number] || model.assets.iter().any(has_translucent)
         }),
-        translucent_nodes,
+        translucent_nodes: translucent_nodes.contains(&true),
     }
 }
 

@@ -20,7 +20,7 @@ use crate::math::View;
 use crate::scene::{Blend, Shading};
 
 use super::fog;
-use super::prepare::{Prepared, PreparedItem, is_clear};
+use super::prepare::{Prepared, PreparedItem};
 use super::shade::shade;
 use super::splats::{SeenSplat, Settings, Touch};
 use super::surface::{self, Surface};
@@ -153,7 +153,7 @@ fn item_splats(
 ) -> Vec<Splat> {
     let splat = |index: usize| {
         let hit = Hit { depth: 0.0, item: number as u32, index: index as u32 };
-        if is_clear(cloud, index) || !is_shown(&hit) {
+        if item.is_clear_sample(cloud, index) || !is_shown(&hit) {
             return None;
         }
         let seen = SeenSplat::new(view, settings, item, cloud, index)?;

@@ -11,7 +11,7 @@ use crate::math::{Tube, View};
 use crate::scene::recolor::Recolor;
 
 use super::color::linear_from_srgba8;
-use super::prepare::{Prepared, PreparedItem, is_clear_line};
+use super::prepare::{Prepared, PreparedItem};
 use super::surface::{LitAs, Surface, overridden, surface as surface_of};
 use super::visibility::{Hit, SeenTriangle, band_rows, pixel_ray, pixels_between};
 
@@ -185,7 +185,7 @@ pub fn add<Kept: Send>(
         Some((vertex, seen, pixels))
     };
     let vertices: Vec<u32> =
-        lines.segments().filter(|&vertex| !is_clear_line(lines, vertex)).collect();
+        lines.segments().filter(|&vertex| !item.is_clear_line(lines, vertex)).collect();
     let segments: Vec<_> = vertices.into_par_iter().filter_map(seen).collect();
     let width = view.width as usize;
     let rows = band_rows(view.height as usize);
@@ -254,8 +254,7 @@ pub fn surface(
         let [a, b] = ends.map(|v| linear_from_srgba8(colors[v]));
         color = std::array::from_fn(|channel| mix([a[channel], b[channel]], share));
     }
-    // The alpha of a node's colour says nothing of lines.
-    for (channel, factor) in color.iter_mut().take(3).zip(material.base_color) {
+    for (channel, factor) in color.iter_mut().zip(material.base_color) {
         *channel *= f64::from(factor);
     }
     if let Some((recolor, name)) = shown {

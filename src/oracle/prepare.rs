@@ -100,8 +100,12 @@ impl<'a> Prepared<'a> {
                 over.is_some_and(MaterialSpec::is_translucent)
                     || item.material(mesh, hit.index).is_some_and(|material| material.translucent)
             }
-            Geometry::Points(cloud) => alpha(&cloud.colors, hit.index as usize) < 255,
-            Geometry::Lines(lines) => ends_of(lines, hit.index).into_iter().any(|a| a < 255),
+            Geometry::Points(cloud) => {
+                item.alpha() < 1.0 || alpha(&cloud.colors, hit.index as usize) < 255
+            }
+            Geometry::Lines(lines) => {
+                item.alpha() < 1.0 || ends_of(lines, hit.index).into_iter().any(|a| a < 255)
+            }
         }
     }
 
@@ -110,7 +114,7 @@ impl<'a> Prepared<'a> {
         self.items.iter().any(|item| match item.item.geometry {
             Geometry::Points(PointCloud { colors, .. })
             | Geometry::Lines(Polylines { colors, .. }) => {
-                colors.iter().flatten().any(|color| color[3] < 255)
+                item.alpha() < 1.0 || colors.iter().flatten().any(|color| color[3] < 255)
             }
             Geometry::Mesh(_) => {
                 let over = item.item.override_material;
@@ -144,21 +148,26 @@ fn ends_of(lines: &Polylines, vertex: u32) -> [u8; 2] {
     [0, 1].map(|end| alpha(&lines.colors, vertex as usize + end))
 }
 
-/// Whether a segment has no alpha at all, and is not there whatever the output.
-pub fn is_clear_line(lines: &Polylines, vertex: u32) -> bool {
-    ends_of(lines, vertex) == [0, 0]
-}
-
-/// Whether a sample has no alpha at all, and is not there whatever the output.
-pub fn is_clear(cloud: &PointCloud, index: usize) -> bool {
-    alpha(&cloud.colors, index) == 0
-}
-
 fn address(texture: &Texture) -> usize {
     std::ptr::from_ref(texture).addr()
 }
 
 impl<'a> PreparedItem<'a> {
+    /// The alpha of its node's colour.
+    fn alpha(&self) -> f32 {
+        self.item.override_material.map_or(1.0, MaterialSpec::alpha)
+    }
+
+    /// Whether a sample has no alpha at all, and is not there whatever the output.
+    pub fn is_clear_sample(&self, cloud: &PointCloud, index: usize) -> bool {
+        self.alpha() <= 0.0 || alpha(&cloud.colors, index) == 0
+    }
+
+    /// Whether a segment has no alpha at all, and is not there whatever the output.
+    pub fn is_clear_line(&self, lines: &Polylines, vertex: u32) -> bool {
+        self.alpha() <= 0.0 || ends_of(lines, vertex) == [0, 0]
+    }
+
     fn new(item: &OracleItem<'a>, view: &View) -> Self {
         let linear = item.world_from_geometry.matrix3;
         // The cofactors are the inverse transpose times the determinant.

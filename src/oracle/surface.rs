@@ -203,9 +203,9 @@ fn sample(
     let mut material = overridden(item, &Material::default());
     let [.., alpha] = *color;
     let color = field.map_or(*color, |[r, g, b, _]| [r, g, b, alpha]);
-    let [red, green, blue, _] = material.base_color;
-    // The alpha of a node's colour says nothing of samples.
-    material.base_color = if field.is_some() { [1.0; 4] } else { [red, green, blue, 1.0] };
+    if field.is_some() {
+        material.base_color[..3].fill(1.0);
+    }
     // A hit comes from a sample that can be drawn, so that none is missing here.
     let position = cloud.positions.get(index).and_then(|&position| item.to_view(position));
     let position_view = seen.or(position).unwrap_or(DVec3::ZERO);

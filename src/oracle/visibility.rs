@@ -10,7 +10,7 @@ use crate::assets::{Geometry, Mesh, PointCloud};
 use crate::math::{Projection, View};
 
 use super::predicates::{edge_sign, volume_sign};
-use super::prepare::{Prepared, PreparedItem, is_clear};
+use super::prepare::{Prepared, PreparedItem};
 use super::{blend, lines, splats, surface};
 
 /// The element that covers a pixel.
@@ -225,7 +225,7 @@ fn add_samples<Kept: Send>(
     let (width, height) = (view.width as usize, view.height as usize);
     let discs = prepared.scene.discs;
     let project = |(index, &position): (usize, _)| {
-        if is_clear(cloud, index) {
+        if item.is_clear_sample(cloud, index) {
             return None;
         }
         let position_view = item.to_view(position)?;

@@ -180,11 +180,10 @@ impl<'a, 'c> Recorder<'a, 'c> {
     /// stage draws them.
     pub fn segments(&self, kinds: &[GeometryKind]) -> Vec<Segment> {
         let (composites, windowed) = (self.task.draws_opaque_first(), self.stage.is_windowed());
-        // Instances that are translucent beside opaque ones stand on pages of both. Translucent samples have opaque ones on their pages.
-        let overrides = self.scene.looks.translucent_overrides;
         let has_both = |page: PageKind| match page.kind {
-            GeometryKind::Triangles => windowed && overrides,
-            GeometryKind::Samples | GeometryKind::Lines => page.translucent,
+            // Instances that are translucent beside opaque ones stand on pages of both.
+            GeometryKind::Triangles => windowed && self.overrides_alpha(page.kind),
+            GeometryKind::Samples | GeometryKind::Lines => self.is_mixed(page),
         };
         let is_drawn =
             |page: PageKind| !composites || page.translucent == windowed || has_both(page);
@@ -195,6 +194,16 @@ impl<'a, 'c> Recorder<'a, 'c> {
             })
             .map(Some)
             .collect()
+    }
+
+    /// Whether some instance of a kind of geometry has a translucent colour of its own.
+    pub fn overrides_alpha(&self, kind: GeometryKind) -> bool {
+        self.scene.looks.translucent_overrides[kind as usize]
+    }
+
+    /// Whether a page of samples or lines may have both translucent and opaque ones. The nodes of point trees have no alpha.
+    pub fn is_mixed(&self, page: PageKind) -> bool {
+        page.translucent || (self.overrides_alpha(page.kind) && !page.nodes)
     }
 
     /// Whether the pass asks triangles for their alpha at each pixel, which costs a CPU adapter several times the rest.

@@ -40,12 +40,12 @@ pub fn visible_constants(recorder: &Recorder, walked: bool) -> Constants {
     constants
 }
 
-/// Whether a segment's page has translucent elements, and maybe others.
+/// Whether a segment's page may have both translucent and opaque elements.
 pub fn is_mixed(recorder: &Recorder, segment: Segment) -> bool {
-    segment.is_some_and(|index| recorder.scene.pages[index].kind.translucent)
+    segment.is_some_and(|index| recorder.is_mixed(recorder.scene.pages[index].kind))
 }
 
-/// Override of `shared/sorts`, for pages with translucent elements.
+/// Override of `shared/sorts`, for pages that may have translucent elements.
 pub fn sort_constants(recorder: &Recorder, segment: Segment) -> Constants {
     let sort = match (recorder.task.draws_opaque_first(), recorder.stage.is_windowed()) {
         (false, _) => 3,

@@ -14,7 +14,7 @@ use super::{
     ResidentGeometry, ResidentScene, SceneMaterials, TEXEL_PAGES,
 };
 use crate::assets::{Encoding, Material};
-use crate::bake::pack::{PackedChunk, PackedGeometry, Sides};
+use crate::bake::pack::{GeometryKind, PackedChunk, PackedGeometry, Sides};
 use crate::bake::tree::SORTED;
 use crate::gpu::Gpu;
 use crate::gpu::buffer::Buffer;
@@ -222,7 +222,9 @@ fn looks(model: &SceneModel) -> Looks {
     Looks {
         textures,
         overrides: model.instances.iter().any(|instance| instance.material.is_some()),
-        translucent_overrides: model.has_translucent_overrides(),
+        translucent_overrides: std::array::from_fn(|number| {
+            model.has_translucent_overrides(GeometryKind::ALL[number])
+        }),
         specular: shines || polished,
         physical,
         emissive,

@@ -375,6 +375,42 @@ fn lines_among_panes() {
     }
 }
 
+/// Nodes of opaque points and lines with translucent colours, beside opaque nodes of the same files.
+#[test]
+fn nodes_of_points_and_lines_with_translucent_colors() {
+    let cloud = Shape::cloud(1500, [-0.7; 3], [0.7; 3], 23).without_normals();
+    let tubes = lines::vtk(&lines::scattered(6, [0.05, 0.12], 8));
+    let scene = json!({
+        "assets": { "c": { "file": "c.ply" }, "l": { "file": "l.vtk" } },
+        "materials": { "glass": { "color": "#80c0ff80" }, "gone": { "color": "#ff000000" } },
+        "nodes": [
+            { "asset": "c", "material": "glass" },
+            { "asset": "c", "translate": [0.5, 0.2, -0.4] },
+            { "asset": "l", "material": "glass", "scale": 0.7 },
+            { "asset": "l", "translate": [-0.4, 0.1, -0.3], "scale": 0.6 },
+            { "asset": "c", "material": "gone", "scale": 1.2 },
+            { "asset": "l", "material": "gone" },
+        ]
+    });
+    let case = Case::new("node-alpha-points", &[("c.ply", cloud.ply()), ("l.vtk", tubes)], &scene);
+    let points = Settings::drawn_as(Reconstruct::Points);
+    let frames = case.draw_with(&view(), Settings { shadows: Shadows::Off, ..points });
+    let exact = case.reference.frame(&view(), 1);
+    let psnr = metrics::psnr(&exact.to_rgba8(), &frames.color).unwrap();
+    println!("{psnr:.1} dB, {:?}", frames.receipt.translucent);
+    if psnr < 45.0 {
+        splats::save_both(&case, &view(), exact.to_rgba8(), frames.color.clone());
+        panic!("{psnr:.1} dB");
+    }
+    for pass in [Pass::ResolveSamples, Pass::ResolveLines, Pass::ResolveSamplesLayers] {
+        assert!(frames.ran(pass), "{pass:?}");
+    }
+    assert!(frames.ran(Pass::ResolveLinesLayers) && !frames.ran(Pass::ResolveTrianglesLayers));
+    // Nodes without alpha are in no output.
+    assert!([1, 2, 3, 4].iter().all(|id| frames.id.contains(id)));
+    assert!([5, 6].iter().all(|id| !frames.id.contains(id) && !exact.id.contains(id)));
+}
+
 /// A line far thinner than a pixel dims what is behind it by its alpha times its width, in every pixel that it crosses.
 #[test]
 fn thin_lines_cover_by_their_width() {
