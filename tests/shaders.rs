@@ -38,10 +38,8 @@ fn compositions(root: &str) -> Vec<(String, Choices, Composed)> {
             })
     };
     let sides = |alias: &str| if asks(alias) { vec![false, true] } else { vec![false] };
-    let layers = root.contains("triangles");
-    let mut visibilities =
+    let visibilities =
         if asks("VISIBILITY") { Visibility::ALL.to_vec() } else { vec![Visibility::Depth] };
-    visibilities.retain(|visibility| layers || !visibility.is_of_layers());
     let mut all = vec![Choices::default()];
     let widen = |all: Vec<Choices>, alias: &str, set: fn(&mut Choices, bool)| -> Vec<Choices> {
         let sides = sides(alias);
@@ -92,8 +90,9 @@ fn compositions(root: &str) -> Vec<(String, Choices, Composed)> {
         .into_iter()
         .flat_map(|c| maps(c).into_iter().map(move |maps| Choices { maps, ..c }))
         .collect();
-    // Layers are those of triangles.
-    if root == "resolve/resolve_triangles" {
+    // Layers have triangles, samples and lines.
+    let resolved = ["triangles", "samples", "lines"].map(|kind| format!("resolve/resolve_{kind}"));
+    if resolved.iter().any(|layered| layered == root) {
         all = widen(all, "WORDS", |choices, side| choices.layers = side);
     }
     all = widen(all, "NODES", |choices, side| choices.nodes = side);
@@ -155,28 +154,28 @@ fn every_composition_is_valid() {
         }
     }
     // Numbers of compositions:
-    // - Samples: three ways to write; with and without point trees; all at once or in turns.
-    // - Triangles: the same three ways, for what is opaque and for layers; with and without alpha; a thread each (all at once or in turns, with and without votes),
+    // - Samples: three ways to write, for what is opaque and for layers; with and without point trees; all at once or in turns.
+    // - Triangles: the same six ways; with and without alpha; a thread each (all at once or in turns, with and without votes),
     //   or from a list (by threads or by the rasteriser).
-    // - Lines: the same three ways; a thread each as for triangles, or from a list.
+    // - Lines: the same six ways; a thread each as for triangles, or from a list.
     // - Splats: depths as for samples, with and without clip lines; sums by clip lines, width, normals, lights and trees; a
     //   single pass by clip lines, lights, trees and scalar fields. Each of these with a thread per splat (all at once or in turns, with and
     //   without votes), or from a list. Painted splats as a single pass, with a thread per splat, and counted with and without trees.
     // - Passes over pixels: with and without votes; samples with and without trees; samples and lines with and without scalar fields; outputs written at once or later,
-    //   in the latter case with and without maps; triangles also layer by layer.
+    //   in the latter case with and without maps; each of them also layer by layer.
     // - Wherever light is computed, with and without shadows, and with and without surroundings. The last pass over surfaces also with and without ambient occlusion, which is a pass over pixels.
     // - Level 0 of pull-push: with and without clip lines, trees and scalar fields.
     // - Lists: of everything, or of trees. Others: no choices.
-    let (depths, sums, single) = (12, 160, 40);
-    let over_pixels = 2 * 2 * (6 * 2 * 3 + 3 * 2 * 3 + 2 * 2 * 3 + 2 * 2 * 2) + 2 + 2;
+    let (depths, sums, single) = (24, 160, 40);
+    let over_pixels = 2 * 2 * (12 * 2 * 3 + 3 * 2 * 3 + 2 * 2 * 3 + 2 * 2 * 2) + 2 + 2;
     let level_0 = 2 * 2 * 2;
     let lists = 3 * 2;
     let others = 24;
     assert_eq!(
         checked,
-        2 * 6
+        2 * 12
             + 12 * (2 * 2 + 2)
-            + 3 * (2 * 2 + 1)
+            + 6 * (2 * 2 + 1)
             + 5 * (depths + sums + single)
             + 4 * (single + 2)
             + over_pixels

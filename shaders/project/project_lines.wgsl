@@ -13,6 +13,7 @@
 const COUNTS: bool = FIRST_HALF;
 
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
+@group(1) @binding(3) var<storage, read> instances: array<Instance>;
 @group(2) @binding(0) var<storage, read> slots: array<Slot>;
 @group(2) @binding(3) var<storage, read> placed: array<Placed>;
 
@@ -45,7 +46,13 @@ fn segment_of_slot(slot_index: u32, at: Placed, scale: f32, chunk: Chunk, index:
     let id = (slot_index << SLOT_SHIFT) | index;
     let seen = seen_line(line_of(at, scale, chunk.vertex_first, chunk.first + index));
     var bounds = line_bounds(seen);
-    bounds.is_seen = bounds.is_seen && level_is_drawn(seen.line, chunk, scale);
+    // The part of its box that the pass draws. A segment counts in the window where its box begins.
+    let drawn = vec2<i32>(drawn_rows());
+    let begins = u32(bounds.low.y >= drawn.x);
+    bounds.low.y = max(bounds.low.y, drawn.x);
+    bounds.high.y = min(bounds.high.y, drawn.y - 1);
+    bounds.is_seen = bounds.is_seen && bounds.low.y <= bounds.high.y
+        && level_is_drawn(seen.line, chunk, scale) && is_drawn_with(line_alpha(seen.line), instances[slots[frame.first_slot + slot_index].instance].flags);
     let columns = u32(bounds.high.x - bounds.low.x + 1);
     let pixels = columns * most_rows(bounds);
     let is_small = columns <= most_columns() && pixels <= most_pixels();
@@ -56,7 +63,7 @@ fn segment_of_slot(slot_index: u32, at: Placed, scale: f32, chunk: Chunk, index:
         list_entry(id, vec2<u32>(bounds.low), vec2<u32>(bounds.high));
         list_units((pixels + 4095u) / 4096u);
         if COUNTS {
-            atomicAdd(&stats[frame.view].segments_listed, 1u);
+            atomicAdd(&stats[frame.view].segments_listed, begins);
         }
     }
     var x = select(bounds.high.x + 1, bounds.low.x, wanted != 0u && walks);

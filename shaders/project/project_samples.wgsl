@@ -8,6 +8,7 @@
 //!include shared/landing
 //!include shared/lanes
 //!include shared/tested
+//!include shared/sorts
 
 @group(1) @binding(0) var<storage, read> positions: array<vec2<u32>>;
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
@@ -38,6 +39,7 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
     let sorted = (slots[at].flags & SLOT_SORTED) != 0u;
     let parts = turn.parts & slots[at].parts;
     let sure = slots[at].parts >> 16u;
+    let instance_flags = instances[slots[at].instance].flags;
     var key = 0u;
     var areas: Areas;
     var longest = 0.0;
@@ -79,7 +81,7 @@ fn project_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
             }
             let at = place_of(positions[sample], row_x, row_y, row_z);
             let pixel = landing(at, sample, longest);
-            var may_show = pixel != NO_PIXEL;
+            var may_show = pixel != NO_PIXEL && is_drawn_with(attributes[sample].x >> 24u, instance_flags);
             if TREE && !EXPANDED {
                 // Nodes beside the image reach into it.
                 may_show = at.z > NEAREST && all(at.image >= vec2<f32>(-1.0)) && all(at.image < size + 1.0)

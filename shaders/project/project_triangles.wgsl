@@ -8,30 +8,17 @@
 //!include shared/triangle
 //!include shared/list
 //!include shared/lanes
+//!include shared/sorts
 //!include VOTE
 //!include PORTION
 //!include ALPHA
 
 const COUNTS: bool = FIRST_HALF;
 
-// Which slots are drawn, of pages that have both: all, opaque ones, or translucent ones.
-override SORT: u32 = 0u;
-
-const SORT_OPAQUE: u32 = 1u;
-const SORT_TRANSLUCENT: u32 = 2u;
-
-// Instances may have translucent materials of their own; what has no alpha at all is not there, whatever the output.
-fn is_of_sort(chunk: Chunk, over_plus_one: u32) -> bool {
-    var translucent = (chunk.flags & CHUNK_TRANSLUCENT) != 0u;
-    var is_clear = false;
-    if over_plus_one != 0u {
-        let over = materials[over_plus_one - 1u];
-        let alpha = select(1.0, over.base_color.a, (over.overrides & OVERRIDE_BASE_COLOR) != 0u);
-        // Zero where the instance says nothing of it.
-        translucent = translucent || alpha < 1.0 || over.transmission > 0.0;
-        is_clear = alpha <= 0.0;
-    }
-    return (SORT == 0u || translucent == (SORT == SORT_TRANSLUCENT)) && !is_clear;
+// Chunks are translucent as a whole, and so are instances with translucent colours of their own.
+fn is_of_sort(chunk: Chunk, instance_flags: u32) -> bool {
+    let alpha = select(255u, 254u, (chunk.flags & CHUNK_TRANSLUCENT) != 0u);
+    return is_drawn_with(alpha, instance_flags) && (instance_flags & INSTANCE_CLEAR) == 0u;
 }
 
 @group(1) @binding(2) var<storage, read> chunks: array<Chunk>;
@@ -159,7 +146,7 @@ fn project_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_inv
     let slot = slots[frame.first_slot + turn.slot];
     let chunk = chunks[slot.chunk];
     let instance = slot.instance;
-    if !is_of_sort(chunk, instances[instance].material) {
+    if !is_of_sort(chunk, instances[instance].flags) {
         return;
     }
     let at = placed[frame.first_instance + instance];
@@ -167,7 +154,7 @@ fn project_triangles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_inv
     var one_sided = 0.0;
     // Clip boxes open what is closed.
     if CLIP_BOXES == 0u && (material.flags & MATERIAL_DOUBLE_SIDED) == 0u {
-        one_sided = select(1.0, -1.0, instances[instance].mirrored != 0u);
+        one_sided = select(1.0, -1.0, (instances[instance].flags & INSTANCE_MIRRORED) != 0u);
     }
     var rounds = 0u;
     var i = next_element(lane, turn.parts, lane, chunk.count);

@@ -1,4 +1,4 @@
-// Writes the attributes of the pixels that show a segment of a line of one page. Tubes that are wide enough have the normals of their
+// Writes the attributes of the pixels that show a segment of a line of one page, or the layers of translucent segments before them. Tubes that are wide enough have the normals of their
 // surface; thin ones are lit as the mean over a cylinder, and ribbons from both sides alike.
 //!include shared/frame
 //!include shared/scene
@@ -91,6 +91,33 @@ fn line_lights(albedo: vec3<f32>, material: Material, direction: vec3<f32>, plac
     return color;
 }
 
+// Neighbouring segments of a tube lie over each other where they meet. How far apart they may seem there, as a factor of the radius and as a share
+// of the distance.
+const JOINT: f32 = 1.1;
+const JOINT_SLACK: f32 = 4e-6;
+
+// Whether a place on a segment lies within the segment beside it on its strand, which the word of the layer before shows: the tube counts once.
+fn is_joint(before: vec2<u32>, own: Line, instance: u32, place: vec3<f32>) -> bool {
+    let run = runs[frame.first_run + segment.index];
+    let index = slot_of(before);
+    if before.y == 0u || index - run.first_slot >= run.count {
+        return false;
+    }
+    let slot = frame.first_slot + index;
+    let chunk = slots[slot].chunk;
+    let element = chunks[chunk].first + (~before.x & SLOT_MASK);
+    let number = line_segments[element].y;
+    if slots[slot].instance != instance || max(number, own.number) - min(number, own.number) != 1u {
+        return false;
+    }
+    let at = placed[frame.first_instance + instance];
+    let line = line_of(at, radius_scale(at), chunks[chunk].vertex_first, element);
+    let from_a = place - line.a;
+    let foot = clamp(dot(from_a, line.ab) / max(dot(line.ab, line.ab), 1e-37), 0.0, 1.0);
+    let radius = mix(line.radius.x, line.radius.y, foot);
+    return length(from_a - line.ab * foot) <= JOINT * radius + JOINT_SLACK * length(place);
+}
+
 fn resolve(column: Column) {
     var surface: Surface;
     surface.slot = slot_of(column.word);
@@ -119,6 +146,9 @@ fn resolve(column: Column) {
         share = ribbon_share(seen.line, hit.triangle, ray);
     }
     share = mix(seen.line.range.x, seen.line.range.y, share);
+    if !RIBBONS && is_joint(word_before(column.pixel), seen.line, instance, on_ray(ray, 1.0 / surface.inverse_depth)) {
+        return;
+    }
     let way = world_from_camera(towards(ray));
     let is_round = !RIBBONS && hit.width_px >= ROUND_PX;
     let tangent = unit_or_zero(world_from_camera(seen.line.ab));
@@ -137,8 +167,15 @@ fn resolve(column: Column) {
     if OVERRIDES {
         material = effective_material(material, instances[instance].material);
     }
-    let color_a = linear_color(line_vertices[seen.line.words.x + 3u]);
-    let color_b = linear_color(line_vertices[seen.line.words.y + 3u]);
+    let word_a = line_vertices[seen.line.words.x + 3u];
+    let word_b = line_vertices[seen.line.words.y + 3u];
+    let color_a = linear_color(word_a);
+    let color_b = linear_color(word_b);
+    surface.alpha = material.base_color.a * mix(unpack4x8unorm(word_a).a, unpack4x8unorm(word_b).a, share);
+    // A strip is a pixel wide where the line is thinner.
+    if SORT == SORT_TRANSLUCENT && hit.triangle == 0u {
+        surface.alpha *= min(hit.width_px, 1.0);
+    }
     surface.color = material.base_color.rgb * mix(color_a, color_b, share);
     if SHOWS_FIELD {
         surface.color = linear_color(field_color_between(seen.line.words / LINE_WORDS, share, instance));
@@ -160,6 +197,6 @@ fn resolve_lines(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
     begin_view(group.z);
     let resolved = resolve_each(group, lane, runs[frame.first_run + segment.index]);
     if resolved != 0u {
-        atomicAdd(&stats[frame.view].pixels_of_segments, resolved);
+        note_segments(resolved);
     }
 }

@@ -1,4 +1,4 @@
-// Writes the attributes of the pixels that show a sample of one page.
+// Writes the attributes of the pixels that show a sample of one page, or the layers of translucent samples before them.
 //!include shared/frame
 //!include shared/scene
 //!include shared/normals
@@ -29,6 +29,7 @@ fn resolve(column: Column) {
             surface.normal = facing_normal(turned(normal_map(instance), octahedral_decode(packed.y)), way);
             surface.is_ball = is_ball(packed);
         }
+        surface.alpha = sample_alpha(packed.x, instances[instance].material);
         if SHOWS_FIELD {
             surface.color = linear_color(field_color(sample, instance));
         } else {
@@ -44,6 +45,6 @@ fn resolve_samples(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoc
     // Runs of one chunk are short here: caching their common values costs more than it saves.
     let resolved = resolve_each(group, lane, runs[frame.first_run + segment.index]);
     if resolved != 0u {
-        atomicAdd(&stats[frame.view].pixels_of_samples, resolved);
+        note_samples(resolved);
     }
 }

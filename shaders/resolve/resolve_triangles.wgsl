@@ -72,7 +72,7 @@ fn shown_slot(slot: u32) -> Shown {
         shown.normals = normal_map(instance);
     }
     if MAPS {
-        shown.mirrored = instances[instance].mirrored != 0u;
+        shown.mirrored = (instances[instance].flags & INSTANCE_MIRRORED) != 0u;
     }
     if needs_color() || needs_maps() {
         shown.material = materials[chunks[chunk].material];
@@ -202,7 +202,9 @@ fn resolve(column: Column, shown: Shown, corners: Corners) {
             }
         }
         let color = surface_color(corners, shown.material, w);
-        surface.alpha = clamp(color.a, 0.0, 1.0);
+        // Alpha does not say how much glass hides.
+        let is_solid = TRANSMITS && (shown.material.flags & MATERIAL_SOLID) != 0u;
+        surface.alpha = select(clamp(color.a, 0.0, 1.0), 1.0, is_solid);
         // Triangles have no scalar fields.
         surface.color = select(color.rgb, linear_color(GREY), COLOR_BY == BY_FIELD);
     }

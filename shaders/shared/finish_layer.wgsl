@@ -24,9 +24,6 @@ fn layer_of(surface: Surface, at: vec2<u32>) -> Layer {
         return layer;
     }
     let material = material_of(surface);
-    if TRANSMITS {
-        layer.alpha = select(surface.alpha, 1.0, (material.flags & MATERIAL_SOLID) != 0u);
-    }
     if TRANSMITS && (material.flags & MATERIAL_UNLIT) == 0u {
         let normal = select(vec3<f32>(0.0), surface.normal, SHADED);
         layer.passing = passing_light(surface.color, material, normal, eye_from(place_of(surface, at)));
@@ -41,8 +38,17 @@ fn layer_of(surface: Surface, at: vec2<u32>) -> Layer {
 fn finish(pixel: u32, at: vec2<u32>, surface: Surface) {
     var shown = surface;
     shown.color = recoloured(surface, at);
-    let layer = layer_of(shown, at);
-    let distance = surface.depth_scale / surface.inverse_depth;
+    lay_under(pixel, at, layer_of(shown, at), surface.depth_scale / surface.inverse_depth);
+}
+
+// For a surface whose colour is the one under all lights.
+fn finish_lit(pixel: u32, at: vec2<u32>, surface: Surface) {
+    let layer = Layer(surface.color, surface.alpha, vec3<f32>(0.0));
+    lay_under(pixel, at, layer, surface.depth_scale / surface.inverse_depth);
+}
+
+// Lays the surface at a distance along the viewing axis under what is nearer.
+fn lay_under(pixel: u32, at: vec2<u32>, layer: Layer, distance: f32) {
     let color = fogged_at(layer.color, at, distance);
     let place = place_in(0u, pixel);
     let before = covered[place];

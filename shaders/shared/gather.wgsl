@@ -2,6 +2,7 @@
 // `begin_slot`, and to each: `take`.
 //!include shared/lanes
 //!include shared/tested
+//!include shared/sorts
 //!include VOTE
 //!include PORTION
 
@@ -49,6 +50,9 @@ fn gather(group: vec3<u32>, lane: u32) -> Tally {
                 if !splat_is_chosen(slot, i) {
                     continue;
                 }
+            }
+            if !is_drawn_with(attributes[slot.first + i].x >> 24u, instances[slot.instance].flags) {
+                continue;
             }
             gathered |= 1u << ((i - base) / LANES);
         }

@@ -1,11 +1,13 @@
 // Segments of lines: tubes, which are the balls whose centre and radius vary linearly along a segment, and ribbons, which are two
 // triangles. Where a line is thinner than a pixel, it is drawn one pixel wide, and a pixel shows it with the probability of its width, by
-// a key that is fixed to the place along the strand. Its mean brightness is that of its width.
+// a key that is fixed to the place along the strand. Its mean brightness is that of its width. Where it is translucent, each pixel shows it,
+// with an alpha that is multiplied by its width.
 //
 // Everything is relative to the eye, and a tube is met relative to its nearer end: nothing large is subtracted from something large.
 //!include shared/plane
 //!include shared/edges
 //!include shared/octahedral
+//!include shared/sorts
 @group(1) @binding(0) var<storage, read> line_vertices: array<u32>;
 @group(1) @binding(1) var<storage, read> line_segments: array<vec2<u32>>;
 
@@ -94,6 +96,13 @@ fn radius_scale(at: Placed) -> f32 {
 
 fn line_cell(word: u32) -> vec3<i32> {
     return vec3<i32>(bitcast<i32>(line_vertices[word]), bitcast<i32>(line_vertices[word + 1u]), bitcast<i32>(line_vertices[word + 2u]));
+}
+
+// The alpha of a segment, of 255, as what is translucent is told by it: full or none only if both ends have that.
+fn line_alpha(line: Line) -> u32 {
+    let a = line_vertices[line.words.x + 3u] >> 24u;
+    let b = line_vertices[line.words.y + 3u] >> 24u;
+    return select(min(max(a, b), 254u), 255u, min(a, b) == 255u);
 }
 
 fn side_of(at: Placed, word: u32) -> vec3<f32> {
@@ -289,7 +298,8 @@ fn meet_strip(line: Line, strip: Strip, pixel: vec2<f32>) -> LineHit {
     let z = mix(strip.z.x, strip.z.y, inner);
     let width_px = mix(strip.width.x, strip.width.y, inner) / divisor(z);
     let share = mix(strip.share.x, strip.share.y, inner);
-    if width_px >= 1.0 || !(strip_key(line, strip, share, z) < WHOLE * width_px) {
+    let is_shown = SORT == SORT_TRANSLUCENT || strip_key(line, strip, share, z) < WHOLE * width_px;
+    if width_px >= 1.0 || !is_shown {
         return hit;
     }
     hit.z = z;

@@ -66,7 +66,7 @@ fn is_left_out(seen: SeenLine) -> bool {
     }
     let start = strip_key(seen.line, strip, 0.0, near);
     let end = strip_key(seen.line, strip, 1.0, near);
-    return pixels < 0.99 && min(start, end) > 1.001 * seen.widths.y;
+    return SORT != SORT_TRANSLUCENT && pixels < 0.99 && min(start, end) > 1.001 * seen.widths.y;
 }
 
 fn line_bounds(seen: SeenLine) -> LineBounds {

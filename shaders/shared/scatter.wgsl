@@ -21,23 +21,31 @@ fn take(slot: SplatSlot, i: u32, tally: ptr<function, Tally>) {
     let longest = u32(frame.small_splat_px) + 1u;
     let width = frame.size_px.x;
     let splat = splat_of(slot, i);
-    let box = vec2<u32>(splat.high - splat.low + vec2<i32>(1));
-    let pixels = select(0u, box.x * box.y, splat.way == SMALL);
+    // The part of its box that the pass draws.
+    let rows = vec2<i32>(drawn_rows());
+    let low = vec2<i32>(splat.low.x, max(splat.low.y, rows.x));
+    let high = vec2<i32>(splat.high.x, min(splat.high.y, rows.y - 1));
+    let holds = all(high >= low);
+    // A splat counts in the window where its box begins.
+    let begins = u32(low.y == splat.low.y);
+    let box = vec2<u32>(high - low + vec2<i32>(1));
+    let is_small = splat.way == SMALL && holds;
+    let pixels = select(0u, box.x * box.y, is_small);
     let full = (*tally).rounds + most_of_lanes(pixels, longest * longest) > ROUNDS;
-    if splat.way == LARGE && all(splat.high >= splat.low) {
-        list_large(splat.id, vec2<u32>(splat.low), vec2<u32>(splat.high));
-        (*tally).listed++;
-        (*tally).crossing += u32(splat.crosses);
+    if splat.way == LARGE && holds {
+        list_large(splat.id, vec2<u32>(low), vec2<u32>(high));
+        (*tally).listed += begins;
+        (*tally).crossing += begins * u32(splat.crosses);
     }
-    if splat.way == SMALL && full {
-        list_entry(splat.id, vec2<u32>(splat.low), vec2<u32>(splat.high));
-        (*tally).listed++;
+    if is_small && full {
+        list_entry(splat.id, vec2<u32>(low), vec2<u32>(high));
+        (*tally).listed += begins;
     }
     var taken = 0u;
-    if splat.way == SMALL && !full {
-        (*tally).scattered++;
+    if is_small && !full {
+        (*tally).scattered += begins;
         let paint = paint_of(slot, shared_paint, i);
-        var at = splat.low;
+        var at = low;
         // One loop over both directions: threads of a vector end together where their boxes are alike in area.
         loop {
             let d = vec2<f32>(at) + vec2<f32>(0.5) - splat.centre;
@@ -50,10 +58,10 @@ fn take(slot: SplatSlot, i: u32, tally: ptr<function, Tally>) {
             if done {
                 at.x++;
             }
-            if at.x > splat.high.x {
-                at = vec2<i32>(splat.low.x, at.y + 1);
+            if at.x > high.x {
+                at = vec2<i32>(low.x, at.y + 1);
             }
-            if at.y > splat.high.y {
+            if at.y > high.y {
                 break;
             }
         }

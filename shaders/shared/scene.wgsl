@@ -10,8 +10,8 @@ struct Instance {
     // Value of the id output.
     id: u32,
     axis_z: vec3<f32>,
-    // 1: the transform mirrors.
-    mirrored: u32,
+    // See INSTANCE_MIRRORED and those behind it.
+    flags: u32,
     // Rows of grid_from_world (linear part), or of the cofactors, scaled, where the transform is singular.
     inverse_x: vec3<f32>,
     // Half the asset's size in grid cells; the anchor stays within.
@@ -29,6 +29,13 @@ struct Instance {
     origin_lo: vec3<f32>,
     delta: f32,
 }
+
+// The transform mirrors.
+const INSTANCE_MIRRORED: u32 = 1u;
+// The colour of the instance's own lets what is behind it show through.
+const INSTANCE_TRANSLUCENT: u32 = 2u;
+// That colour has no alpha at all: the instance is not there, whatever the output.
+const INSTANCE_CLEAR: u32 = 4u;
 
 // An instance seen from this frame's eye: camera = axes · (grid − anchor) + position.
 struct Placed {
@@ -51,7 +58,7 @@ const CHUNK_ORIENTED: u32 = 1u;
 const CHUNK_CLOSED: u32 = 2u;
 // Nodes are strictly sorted by their parents' errors.
 const CHUNK_SORTED: u32 = 4u;
-// Surfaces behind the triangles show through.
+// Surfaces behind all of its triangles, or behind some of its samples or segments, show through.
 const CHUNK_TRANSLUCENT: u32 = 8u;
 
 // Up to 1024 neighbouring elements of one kind.

@@ -1,6 +1,7 @@
 // A splat at a pixel that is blended and depth-tested at once (Dachsbacher et al. 2003, §5): it takes the place of what
 // lies a slab behind, is added to what lies beside it, or is hidden.
 //!include shared/splat_paint
+//!include shared/rows_all
 //!include shared/slabs
 // Triangles may hide splats; they are drawn before.
 override HIDES: bool = true;

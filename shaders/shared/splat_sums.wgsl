@@ -5,6 +5,7 @@
 // Depth counts as a share of the offset surface's, which is never nearer.
 
 //!include shared/splat_paint
+//!include shared/rows_all
 // The scene has more samples than the sums have room for, should all fall on one pixel.
 override CROWDED: bool = true;
 

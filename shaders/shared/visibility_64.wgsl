@@ -1,5 +1,6 @@
 // The visibility buffer in one 64-bit word a pixel: bits of 1/z above, the complement of the id below. The
 // nearest sample has the greatest word; of equal depths the lowest id wins; 0 is an empty pixel.
+//!include shared/rows_all
 @group(0) @binding(1) var<storage, read_write> visibility: array<atomic<u64>>;
 
 fn visibility_write(pixel: u32, inverse_depth: f32, id: u32) {
@@ -9,12 +10,3 @@ fn visibility_write(pixel: u32, inverse_depth: f32, id: u32) {
 
 // Counters advance in the first pass over the scene alone.
 const FIRST_HALF: bool = true;
-
-fn draws_pixel(pixel: u32) -> bool {
-    return true;
-}
-
-// First row that the pass draws, and the one behind the last.
-fn drawn_rows() -> vec2<u32> {
-    return vec2<u32>(0u, frame.size_px.y);
-}

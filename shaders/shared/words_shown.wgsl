@@ -8,9 +8,24 @@ fn high_word(pixel: u32) -> u32 {
     return visibility[pixel].y;
 }
 
+// The word of the layer before; there is none.
+fn word_before(pixel: u32) -> vec2<u32> {
+    return vec2<u32>(0u);
+}
+
 // Whether any of these pixels may have a word: the pixel behind the last one is not among them.
 fn may_have_words(first: u32, behind: u32) -> bool {
     return true;
+}
+
+// Counts a thread's pixels that show a sample.
+fn note_samples(count: u32) {
+    atomicAdd(&stats[frame.view].pixels_of_samples, count);
+}
+
+// Counts a thread's pixels that show a segment of a line.
+fn note_segments(count: u32) {
+    atomicAdd(&stats[frame.view].pixels_of_segments, count);
 }
 
 // Counts a thread's pixels that show a triangle.

@@ -108,6 +108,9 @@ pub fn read(path: &Path, options: &ReadOptions) -> Result<Asset, AssetError> {
     if matches!(format, Format::Ply | Format::Off | Format::Vtk | Format::Vtp) {
         translucent::from_vertex_colors(&mut asset, &name, options)?;
     }
+    if format != Format::Gltf {
+        translucent::fill_unwritten(&mut asset);
+    }
     translucent::drop_without_alpha(&mut asset);
     asset.warnings = condensed(asset.warnings.drain(..).map(|text| ("", text)));
     options.progress.report(1.0);

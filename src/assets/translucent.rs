@@ -1,8 +1,9 @@
-//! Corrects which triangles are translucent. In formats without materials, the alpha of their vertices decides. Materials whose alpha is
-//! 1 everywhere and which transmit no light are opaque.
+//! Corrects what is translucent. In formats without materials, the alpha of vertices decides. Materials whose alpha is 1 everywhere and
+//! which transmit no light are opaque.
 
 use super::{
-    Asset, AssetError, Geometry, LEAST_ALPHA, Material, Mesh, MeshPart, ReadOptions, texture,
+    Asset, AssetError, Geometry, LEAST_ALPHA, Material, Mesh, MeshPart, PointCloud, Polylines,
+    ReadOptions, texture,
 };
 
 /// Makes translucent materials opaque where nothing that they are made of lets light through. Many exporters call all materials
@@ -69,6 +70,20 @@ pub(super) fn from_vertex_colors(
         }
     }
     Ok(())
+}
+
+/// Makes points and lines opaque where every vertex has alpha 0: exporters mean that there is none.
+pub(super) fn fill_unwritten(asset: &mut Asset) {
+    for geometry in &mut asset.geometries {
+        let (Geometry::Points(PointCloud { colors: Some(colors), .. })
+        | Geometry::Lines(Polylines { colors: Some(colors), .. })) = geometry
+        else {
+            continue;
+        };
+        if colors.iter().all(|color| color[3] == 0) {
+            colors.iter_mut().for_each(|color| color[3] = 255);
+        }
+    }
 }
 
 /// For each triangle whether something shows through.
@@ -144,6 +159,21 @@ mod tests {
         let found: Vec<bool> =
             asset.materials.iter().map(|material| material.translucent).collect();
         assert_eq!(found, [false, true, true]);
+    }
+
+    #[test]
+    fn points_without_any_alpha_are_opaque() {
+        let alphas = |given: [u8; 2]| {
+            let colors = Some(given.map(|alpha| [1, 2, 3, alpha]).to_vec());
+            let cloud = PointCloud { colors, ..PointCloud::default() };
+            let mut asset = Asset { geometries: vec![Geometry::Points(cloud)], ..Asset::default() };
+            fill_unwritten(&mut asset);
+            let [Geometry::Points(cloud)] = &asset.geometries[..] else { panic!("a cloud") };
+            let alphas = cloud.colors.iter().flatten().map(|color| color[3]);
+            alphas.collect::<Vec<u8>>()
+        };
+        assert_eq!(alphas([0, 0]), [255, 255]);
+        assert_eq!(alphas([0, 7]), [0, 7]);
     }
 
     #[test]

@@ -88,7 +88,7 @@ pub struct PackedChunk {
     pub kernel_base: f32,
     /// Samples: what the normals say about the surface.
     pub sides: Sides,
-    /// Triangles: surfaces behind them show through.
+    /// Surfaces behind all of its triangles, or behind some of its samples or segments, show through.
     pub translucent: bool,
     /// Point trees: bounds of the nodes or triangles in the chunk.
     pub range: NodeRange,

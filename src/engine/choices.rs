@@ -7,7 +7,7 @@ use crate::bake::pack::GeometryKind;
 use crate::math::View;
 use crate::plan::auto::{self, Choice};
 use crate::plan::detail::{Costs, Detail, DetailGrounds, choose as choose_detail};
-use crate::plan::{Lod, Settings};
+use crate::plan::{Lod, SceneFacts, Settings};
 
 /// Decides how a frame with `lod=spt` is drawn. Returns the request as it is drawn, and why at full detail where the request does not ask
 /// for that.
@@ -24,10 +24,10 @@ pub fn with_detail(
     if !is_open {
         return (drawn, None);
     }
-    if loaded.facts.translucent_nodes {
+    if let Some(what) = translucent(&loaded.facts) {
         // The asset's tree has opaque samples.
         drawn.settings.lod = Lod::Full;
-        return (drawn, Some("nodes have translucent colours, which point trees lack".to_owned()));
+        return (drawn, Some(format!("{what}, which point trees lack")));
     }
     if !state.config.may_draw_in_full {
         return (drawn, None);
@@ -64,6 +64,18 @@ pub fn with_detail(
             (drawn, None)
         }
     }
+}
+
+/// What of a scene is translucent that its point trees would show opaque.
+fn translucent(facts: &SceneFacts) -> Option<&'static str> {
+    if facts.translucent_nodes {
+        return Some("nodes have translucent colours");
+    }
+    let kinds = [
+        (GeometryKind::Samples, "the scene has translucent samples"),
+        (GeometryKind::Lines, "the scene has translucent lines"),
+    ];
+    kinds.into_iter().find(|&(kind, _)| facts.is_translucent(kind)).map(|(_, what)| what)
 }
 
 /// Chooses how samples are drawn where the request leaves it open, as if all normals and kernels were there.

@@ -236,8 +236,12 @@ fn facts(model: &SceneModel, bounds: &Bounds) -> SceneFacts {
         sparse_lines: counts.segments > 0
             && model.line_area() < SPARSE_LINES * size.max_element().powi(2),
         trees: false,
-        translucent: translucent_nodes || model.assets.iter().any(|asset| asset.has_translucent()),
-        translucent_nodes,
+        translucent: std::array::from_fn(|number| {
+            let has_translucent =
+                |asset: &Arc<AssetModel>| asset.has_translucent(GeometryKind::ALL[number]);
+            translucent_nodes[number] || model.assets.iter().any(has_translucent)
+        }),
+        translucent_nodes: translucent_nodes.contains(&true),
         looks,
     }
 }

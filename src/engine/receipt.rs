@@ -273,7 +273,7 @@ pub struct SampleCounts {
     pub tested: Option<u64>,
     /// Nodes of point trees that the accepted error asked for, and that lie in the image; `null` at full detail.
     pub accepted: Option<u64>,
-    /// Pixels that show a sample.
+    /// Pixels that show a sample; a pixel counts once for each translucent sample that it keeps.
     pub drawn: Option<u64>,
 }
 

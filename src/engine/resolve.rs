@@ -459,7 +459,7 @@ fn decide(
         (pulled.is_some() && seen.iter().any(outgrow)).then_some(too_few)
     });
     // None of them leaves depths of what it draws.
-    let composites = facts.translucent && request.output == Output::Color;
+    let composites = facts.has_translucent() && request.output == Output::Color;
     let undecided = (blended.is_some() || pulled.is_some()) && composites;
     let refused = refused.or_else(|| {
         undecided.then_some("it gives translucent surfaces no depths to be compared with")

@@ -83,14 +83,16 @@ impl Sums {
     }
 }
 
-/// The pixels of `view` that show splats, before the `hits` of triangles.
+/// The pixels of `view` that show splats, before the `hits` of triangles. `opaque`: translucent splats are left out.
 pub fn splatted(
     prepared: &Prepared<'_>,
     view: &View,
     settings: &Settings,
     hits: &[Option<Hit>],
+    opaque: bool,
 ) -> Vec<Option<Blended>> {
-    let splats = seen_splats(prepared, view, settings);
+    let is_shown = |hit: &Hit| !(opaque && prepared.is_translucent(hit));
+    let splats = seen_splats(prepared, view, settings, is_shown);
     let width = (view.width as usize).max(1);
     let rows = band_rows(view.height as usize);
     let mut frame = vec![None; hits.len()];
@@ -103,10 +105,40 @@ pub fn splatted(
     frame
 }
 
-/// All splats that may cover a pixel, in the scene's order.
-pub(super) fn seen_splats(prepared: &Prepared<'_>, view: &View, settings: &Settings) -> Vec<Splat> {
+/// Adds the hits of translucent splats to the layers of the pixels of `view`: each where its disk is.
+pub fn add_disks(
+    prepared: &Prepared<'_>,
+    view: &View,
+    settings: &Settings,
+    layers: &mut [Vec<Hit>],
+) {
+    let splats = seen_splats(prepared, view, settings, |hit| prepared.is_translucent(hit));
+    let width = (view.width as usize).max(1);
+    let rows = band_rows(view.height as usize);
+    layers.par_chunks_mut(width * rows).enumerate().for_each(|(band, layers)| {
+        let hits = vec![None; layers.len()];
+        let first_row = band * rows;
+        let band = Band { prepared, view, settings, splats: &splats, first_row, hits: &hits };
+        band.for_each_touch(|pixel, splat, touch| {
+            let (_, index, item) = splat.rank;
+            if touch.is_seen {
+                layers[pixel].push(Hit { depth: touch.depth, item, index });
+            }
+        });
+    });
+}
+
+/// All splats that may cover a pixel, of the samples that `is_shown` tells, in the scene's order.
+pub(super) fn seen_splats(
+    prepared: &Prepared<'_>,
+    view: &View,
+    settings: &Settings,
+    is_shown: impl Fn(&Hit) -> bool + Sync,
+) -> Vec<Splat> {
     let of_item = |(number, item): (usize, &PreparedItem<'_>)| match item.item.geometry {
-        Geometry::Points(cloud) => item_splats(prepared, view, settings, (number, item, cloud)),
+        Geometry::Points(cloud) => {
+            item_splats(prepared, view, settings, (number, item, cloud), &is_shown)
+        }
         Geometry::Mesh(_) | Geometry::Lines(_) => vec![],
     };
     prepared.items.iter().enumerate().flat_map(of_item).collect()
@@ -117,10 +149,14 @@ fn item_splats(
     view: &View,
     settings: &Settings,
     (number, item, cloud): (usize, &PreparedItem<'_>, &PointCloud),
+    is_shown: &(impl Fn(&Hit) -> bool + Sync),
 ) -> Vec<Splat> {
     let splat = |index: usize| {
-        let seen = SeenSplat::new(view, settings, item, cloud, index)?;
         let hit = Hit { depth: 0.0, item: number as u32, index: index as u32 };
+        if item.is_clear_sample(cloud, index) || !is_shown(&hit) {
+            return None;
+        }
+        let seen = SeenSplat::new(view, settings, item, cloud, index)?;
         // A sample's surface is the same from every pixel: colour and normal, turned to the eye, at its own centre.
         let surface = surface::at(prepared, view, &hit, 0, 0);
         let surface = Surface { thickness: seen.offset, ..surface };

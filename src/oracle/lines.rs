@@ -6,14 +6,14 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::assets::{Material, Polylines};
+use crate::assets::{Geometry, Material, Polylines};
 use crate::math::{Tube, View};
 use crate::scene::recolor::Recolor;
 
 use super::color::linear_from_srgba8;
 use super::prepare::{Prepared, PreparedItem};
 use super::surface::{LitAs, Surface, overridden, surface as surface_of};
-use super::visibility::{Hit, SeenTriangle, band_rows, keep_nearer, pixel_ray, pixels_between};
+use super::visibility::{Hit, SeenTriangle, band_rows, pixel_ray, pixels_between};
 
 /// Width in pixels from which on a tube has the normals of its surface; a thinner one is lit by its direction.
 const ROUND_PX: f64 = 2.0;
@@ -170,12 +170,13 @@ fn before_eye(view: &View, ends: [DVec3; 2]) -> [f64; 2] {
     if a < nearest { [share, 1.0] } else { [0.0, share] }
 }
 
-/// Adds the hits of a geometry of lines.
-pub fn add(
+/// Adds the hits of a geometry of lines, as `keep` keeps them.
+pub fn add<Kept: Send>(
     prepared: &Prepared<'_>,
     view: &View,
-    frame: &mut [Option<Hit>],
+    frame: &mut [Kept],
     (number, item, lines): (u32, &PreparedItem<'_>, &Polylines),
+    keep: impl Fn(&mut Kept, Hit) + Sync,
 ) {
     let width_px = prepared.scene.least_line_px;
     let seen = |vertex: u32| {
@@ -183,7 +184,8 @@ pub fn add(
         let pixels = seen.pixel_box(view)?;
         Some((vertex, seen, pixels))
     };
-    let vertices: Vec<u32> = lines.segments().collect();
+    let vertices: Vec<u32> =
+        lines.segments().filter(|&vertex| !item.is_clear_line(lines, vertex)).collect();
     let segments: Vec<_> = vertices.into_par_iter().filter_map(seen).collect();
     let width = view.width as usize;
     let rows = band_rows(view.height as usize);
@@ -196,12 +198,32 @@ pub fn add(
                     let Some(met) = seen.meet(view, ray) else { continue };
                     let hit = Hit { depth: met.depth, item: number, index: *vertex };
                     if hit.depth > 0.0 && prepared.shows(view, view.at_depth(ray, hit.depth)) {
-                        keep_nearer(prepared, &mut pixels[(y - y_begin) * width + x], hit);
+                        keep(&mut pixels[(y - y_begin) * width + x], hit);
                     }
                 }
             }
         }
     });
+}
+
+/// How far the places of neighbouring segments may seem apart where they meet, in radii.
+const JOINT: f64 = 1.1;
+
+/// Whether a hit lies within the neighbouring segment that the hit before shows: the two lie over each other there, and the tube counts once.
+pub fn is_joint(prepared: &Prepared<'_>, view: &View, before: &Hit, hit: &Hit, ray: DVec3) -> bool {
+    let item = &prepared.items[hit.item as usize];
+    let Geometry::Lines(lines) = item.item.geometry else { return false };
+    if before.item != hit.item || before.index.abs_diff(hit.index) != 1 {
+        return false;
+    }
+    let seen = Seen::new(item, lines, (view, prepared.scene.least_line_px), before.index);
+    let Some(Shape::Tube(Tube { ends: [a, b], radii })) = seen.map(|seen| seen.shape) else {
+        return false;
+    };
+    let (axis, from_a) = (b - a, view.at_depth(ray, hit.depth) - a);
+    let foot = (from_a.dot(axis) / axis.length_squared().max(1e-100)).clamp(0.0, 1.0);
+    let radius = radii[0] + (radii[1] - radii[0]) * foot;
+    (from_a - axis * foot).length() <= JOINT * radius
 }
 
 /// The point of a segment that a pixel shows.

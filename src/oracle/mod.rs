@@ -17,7 +17,7 @@
 //!    is open to ambient light. (`occlusion` estimates that from an image, as the renderer does.)
 //! 5. `edl`: eye-dome lighting, where it is asked for.
 //! 6. `fog`: what fog leaves of all that, and of the background, where the scene has some.
-//! 7. `composite`: translucent triangles over all that, in the order of their depths. Depths, normals and ids are those of the nearest
+//! 7. `composite`: translucent triangles, lines and samples over all that, in the order of their depths. Depths, normals and ids are those of the nearest
 //!    surface, translucent or not.
 //!
 //! Work is split by rows of the image; the order of primitives does not matter to the result, so that it
@@ -222,7 +222,7 @@ impl Shown {
     }
 }
 
-/// Hits of the pixels of a frame, or of its `fineness` × `fineness` sub-pixels. `opaque`: without translucent triangles.
+/// Hits of the pixels of a frame, or of its `fineness` × `fineness` sub-pixels. `opaque`: without what is translucent.
 fn shown(prepared: &Prepared<'_>, view: &View, fineness: u32, opaque: bool) -> Vec<Shown> {
     let hits = visibility::resolve(prepared, view, fineness, opaque);
     let or_hit = |hit: Option<Hit>| hit.map_or(Shown::Nothing, Shown::Hit);
@@ -241,7 +241,7 @@ fn shown(prepared: &Prepared<'_>, view: &View, fineness: u32, opaque: bool) -> V
         return hits.into_iter().map(or_hit).collect();
     }
     let settings = splats::Settings::new(splats, fineness);
-    let blended = blend::splatted(prepared, &fine_view, &settings, &hits);
+    let blended = blend::splatted(prepared, &fine_view, &settings, &hits, opaque);
     let shown = |(blended, hit): (Option<Blended>, Option<Hit>)| {
         blended.map_or_else(|| or_hit(hit), Shown::Splats)
     };
@@ -280,7 +280,7 @@ fn colors(prepared: &Prepared<'_>, view: &View, fineness: u32, centres: &[Shown]
         paint::paint(prepared, &fine_view, (&settings, each), &hits, &mut fine);
     }
     if prepared.has_translucent() {
-        let layers = visibility::layers(prepared, &fine_view);
+        let layers = visibility::layers(prepared, view, fineness);
         let transmits = prepared.transmits();
         let pixels = fine.par_iter_mut().zip(shown).zip(&layers).enumerate();
         pixels.for_each(|(i, ((color, shown), layers))| {

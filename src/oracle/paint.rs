@@ -90,7 +90,7 @@ pub fn paint(
     hits: &[Option<Hit>],
     image: &mut [[f64; 4]],
 ) {
-    let mut splats = seen_splats(prepared, view, settings);
+    let mut splats = seen_splats(prepared, view, settings, |_| true);
     let distance = |splat: &Splat| splat.seen.distance(view.is_orthographic());
     splats.sort_by(|a, b| distance(a).total_cmp(&distance(b)).then_with(|| a.rank.cmp(&b.rank)));
     let width = (view.width as usize).max(1);

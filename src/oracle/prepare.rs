@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use glam::{DMat3, DVec3};
 
-use crate::assets::{Filter, Geometry, Material, Mesh, Texture};
+use crate::assets::{Filter, Geometry, Material, Mesh, PointCloud, Polylines, Texture};
 use crate::math::View;
 use crate::scene::{Light, MaterialSpec};
 
@@ -91,21 +91,36 @@ impl<'a> Prepared<'a> {
         self.scene.clip.is_none_or(|clip| clip.shows(world()))
     }
 
-    /// Whether a hit is that of a translucent triangle.
+    /// Whether a hit is that of a translucent triangle, sample or segment.
     pub fn is_translucent(&self, hit: &Hit) -> bool {
         let item = &self.items[hit.item as usize];
-        let Geometry::Mesh(mesh) = item.item.geometry else { return false };
-        let over = item.item.override_material;
-        over.is_some_and(MaterialSpec::is_translucent)
-            || item.material(mesh, hit.index).is_some_and(|material| material.translucent)
+        match item.item.geometry {
+            Geometry::Mesh(mesh) => {
+                let over = item.item.override_material;
+                over.is_some_and(MaterialSpec::is_translucent)
+                    || item.material(mesh, hit.index).is_some_and(|material| material.translucent)
+            }
+            Geometry::Points(cloud) => {
+                item.alpha() < 1.0 || alpha(&cloud.colors, hit.index as usize) < 255
+            }
+            Geometry::Lines(lines) => {
+                item.alpha() < 1.0 || ends_of(lines, hit.index).into_iter().any(|a| a < 255)
+            }
+        }
     }
 
     /// Whether anything is translucent.
     pub fn has_translucent(&self) -> bool {
-        self.items.iter().any(|item| {
-            let over = item.item.override_material;
-            over.is_some_and(MaterialSpec::is_translucent)
-                || item.item.materials.iter().any(|own| own.translucent)
+        self.items.iter().any(|item| match item.item.geometry {
+            Geometry::Points(PointCloud { colors, .. })
+            | Geometry::Lines(Polylines { colors, .. }) => {
+                item.alpha() < 1.0 || colors.iter().flatten().any(|color| color[3] < 255)
+            }
+            Geometry::Mesh(_) => {
+                let over = item.item.override_material;
+                over.is_some_and(MaterialSpec::is_translucent)
+                    || item.item.materials.iter().any(|own| own.translucent)
+            }
         })
     }
 
@@ -123,11 +138,36 @@ impl<'a> Prepared<'a> {
     }
 }
 
+/// The alpha of a vertex, of 255.
+fn alpha(colors: &Option<Vec<[u8; 4]>>, index: usize) -> u8 {
+    colors.as_ref().and_then(|colors| colors.get(index)).map_or(255, |color| color[3])
+}
+
+/// The alpha of both ends of a segment, of 255.
+fn ends_of(lines: &Polylines, vertex: u32) -> [u8; 2] {
+    [0, 1].map(|end| alpha(&lines.colors, vertex as usize + end))
+}
+
 fn address(texture: &Texture) -> usize {
     std::ptr::from_ref(texture).addr()
 }
 
 impl<'a> PreparedItem<'a> {
+    /// The alpha of its node's colour.
+    fn alpha(&self) -> f32 {
+        self.item.override_material.map_or(1.0, MaterialSpec::alpha)
+    }
+
+    /// Whether a sample has no alpha at all, and is not there whatever the output.
+    pub fn is_clear_sample(&self, cloud: &PointCloud, index: usize) -> bool {
+        self.alpha() <= 0.0 || alpha(&cloud.colors, index) == 0
+    }
+
+    /// Whether a segment has no alpha at all, and is not there whatever the output.
+    pub fn is_clear_line(&self, lines: &Polylines, vertex: u32) -> bool {
+        self.alpha() <= 0.0 || ends_of(lines, vertex) == [0, 0]
+    }
+
     fn new(item: &OracleItem<'a>, view: &View) -> Self {
         let linear = item.world_from_geometry.matrix3;
         // The cofactors are the inverse transpose times the determinant.

@@ -121,13 +121,18 @@ impl Occluders {
                     }));
                 }
                 Geometry::Lines(lines) => {
-                    let segments = lines.segments();
+                    let segments = lines.segments().filter(|&index| {
+                        !prepared.is_translucent(&Hit { depth: 0.0, item: number, index })
+                    });
                     let segments =
                         segments.filter_map(|vertex| lines::casting(item, lines, vertex));
                     occluders.extend(segments.flat_map(|segment| segment_occluders(view, segment)));
                 }
                 Geometry::Points(cloud) => {
-                    let samples = 0..cloud.positions.len();
+                    let samples = (0..cloud.positions.len()).filter(|&i| {
+                        let hit = Hit { depth: 0.0, item: number, index: i as u32 };
+                        !prepared.is_translucent(&hit)
+                    });
                     occluders
                         .extend(samples.filter_map(|i| sample(prepared, view, (item, cloud, i))));
                 }

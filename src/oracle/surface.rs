@@ -98,9 +98,10 @@ pub fn at(prepared: &Prepared<'_>, view: &View, hit: &Hit, x: usize, y: usize) -
     };
     match item.item.geometry {
         Geometry::Points(cloud) => {
-            // A disc is seen where the pixel's ray meets it.
+            // A disc is seen where the pixel's ray meets it. A hit without a depth is that of a sample at its own centre.
             let on_disc = || view.at_depth(pixel_ray(view, x, y), hit.depth);
-            let seen = prepared.scene.discs.map(|_| on_disc());
+            let is_disc = prepared.scene.discs.is_some() || prepared.scene.splats.is_some();
+            let seen = (is_disc && hit.depth > 0.0).then(on_disc);
             let recolor = prepared.scene.recolor.as_ref();
             facing_eye(sample(view, item, recolor, (cloud, hit.index), seen))
         }
@@ -200,15 +201,16 @@ fn sample(
     let color = cloud.colors.as_ref().and_then(|colors| colors.get(index)).unwrap_or(&grey);
     let normal = cloud.normals.as_ref().and_then(|normals| normals.get(index));
     let mut material = overridden(item, &Material::default());
-    let color = field.as_ref().unwrap_or(color);
+    let [.., alpha] = *color;
+    let color = field.map_or(*color, |[r, g, b, _]| [r, g, b, alpha]);
     if field.is_some() {
-        material.base_color = [1.0; 4];
+        material.base_color[..3].fill(1.0);
     }
     // A hit comes from a sample that can be drawn, so that none is missing here.
     let position = cloud.positions.get(index).and_then(|&position| item.to_view(position));
     let position_view = seen.or(position).unwrap_or(DVec3::ZERO);
     surface(
-        times(linear_from_srgba8(*color), material.base_color.map(f64::from)),
+        times(linear_from_srgba8(color), material.base_color.map(f64::from)),
         (view, position_view),
         normal.map_or(DVec3::ZERO, |n| item.normal_world_from_geometry * n.as_dvec3()),
         &material,

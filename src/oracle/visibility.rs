@@ -11,7 +11,7 @@ use crate::math::{Projection, View};
 
 use super::predicates::{edge_sign, volume_sign};
 use super::prepare::{Prepared, PreparedItem};
-use super::{lines, surface};
+use super::{blend, lines, splats, surface};
 
 /// The element that covers a pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -114,7 +114,7 @@ pub fn pixel_ray(view: &View, x: usize, y: usize) -> DVec3 {
 }
 
 /// The hit of every pixel of a frame, or of its `fineness` × `fineness` sub-pixels: samples cover
-/// whole pixels, triangles the fine ones. Samples that are drawn as splats give no hits. `opaque`: translucent triangles give none
+/// whole pixels, triangles the fine ones. Samples that are drawn as splats give no hits. `opaque`: what is translucent gives none
 /// either.
 pub fn resolve(
     prepared: &Prepared<'_>,
@@ -122,53 +122,55 @@ pub fn resolve(
     fineness: u32,
     opaque: bool,
 ) -> Vec<Option<Hit>> {
-    let (width, height) = (view.width as usize, view.height as usize);
-    let mut coarse = vec![None; width * height];
-    for (number, item) in prepared.items.iter().enumerate() {
-        if let Geometry::Points(cloud) = item.item.geometry
-            && prepared.scene.splats.is_none()
-            && prepared.scene.pull_push.is_none()
-        {
-            add_samples(prepared, view, &mut coarse, (number as u32, item, cloud));
+    let keep = |kept: &mut Option<Hit>, hit| {
+        if !(opaque && prepared.is_translucent(&hit)) {
+            keep_nearer(prepared, kept, hit);
         }
-    }
-    let n = fineness as usize;
-    let sub_pixels = (0..width * n * height * n).into_par_iter();
-    let mut fine: Vec<Option<Hit>> =
-        sub_pixels.map(|i| coarse[i / (width * n) / n * width + i % (width * n) / n]).collect();
+    };
+    let mut fine = add_points(prepared, view, fineness, keep);
     let fine_view = view.finer(fineness);
     for (number, item) in prepared.items.iter().enumerate() {
         if let Geometry::Mesh(mesh) = item.item.geometry {
-            let keep = |kept: &mut Option<Hit>, hit| {
-                if !(opaque && prepared.is_translucent(&hit)) {
-                    keep_nearer(prepared, kept, hit);
-                }
-            };
             add_triangles(prepared, &fine_view, &mut fine, (number as u32, item, mesh), keep);
         }
         if let Geometry::Lines(lines) = item.item.geometry {
-            lines::add(prepared, &fine_view, &mut fine, (number as u32, item, lines));
+            lines::add(prepared, &fine_view, &mut fine, (number as u32, item, lines), keep);
         }
     }
     fine
 }
 
-/// All hits of translucent triangles of every pixel of a view, the nearest first.
-pub fn layers(prepared: &Prepared<'_>, view: &View) -> Vec<Vec<Hit>> {
-    let mut layers = vec![Vec::new(); view.width as usize * view.height as usize];
+/// All hits of translucent triangles, lines and samples of every pixel of a view, or of its `fineness` × `fineness` sub-pixels, the nearest
+/// first. Translucent splats are not blended with each other: each is where its disk is.
+pub fn layers(prepared: &Prepared<'_>, view: &View, fineness: u32) -> Vec<Vec<Hit>> {
+    let keep = |kept: &mut Vec<Hit>, hit| {
+        if prepared.is_translucent(&hit) {
+            kept.push(hit);
+        }
+    };
+    let mut layers = add_points(prepared, view, fineness, keep);
+    let view = &view.finer(fineness);
     for (number, item) in prepared.items.iter().enumerate() {
         if let Geometry::Mesh(mesh) = item.item.geometry {
-            let keep = |kept: &mut Vec<Hit>, hit| {
-                if prepared.is_translucent(&hit) {
-                    kept.push(hit);
-                }
-            };
             add_triangles(prepared, view, &mut layers, (number as u32, item, mesh), keep);
         }
+        if let Geometry::Lines(lines) = item.item.geometry {
+            lines::add(prepared, view, &mut layers, (number as u32, item, lines), keep);
+        }
     }
-    for hits in &mut layers {
+    if let Some(splats) = &prepared.scene.splats {
+        blend::add_disks(prepared, view, &splats::Settings::new(splats, fineness), &mut layers);
+    }
+    let width = view.width as usize;
+    layers.par_iter_mut().enumerate().for_each(|(pixel, hits)| {
         hits.sort_by(|a, b| order(prepared, a, b));
-    }
+        let ray = pixel_ray(view, pixel % width, pixel / width);
+        let mut before = None;
+        hits.retain(|hit| {
+            let last = before.replace(*hit);
+            !last.is_some_and(|last| lines::is_joint(prepared, view, &last, hit, ray))
+        });
+    });
     layers
 }
 
@@ -190,15 +192,42 @@ pub fn band_rows(height: usize) -> usize {
     height.div_ceil(4 * rayon::current_num_threads()).max(1)
 }
 
-fn add_samples(
+/// What the pixels of a view show of samples that are drawn as points, for each of its `fineness` × `fineness` sub-pixels.
+fn add_points<Kept: Clone + Default + Send + Sync>(
     prepared: &Prepared<'_>,
     view: &View,
-    frame: &mut [Option<Hit>],
+    fineness: u32,
+    keep: impl Fn(&mut Kept, Hit) + Sync,
+) -> Vec<Kept> {
+    let (width, height) = (view.width as usize, view.height as usize);
+    let mut coarse = vec![Kept::default(); width * height];
+    for (number, item) in prepared.items.iter().enumerate() {
+        if let Geometry::Points(cloud) = item.item.geometry
+            && prepared.scene.splats.is_none()
+            && prepared.scene.pull_push.is_none()
+        {
+            add_samples(prepared, view, &mut coarse, (number as u32, item, cloud), &keep);
+        }
+    }
+    let n = fineness as usize;
+    let coarse_of = |i: usize| i / (width * n) / n * width + i % (width * n) / n;
+    let sub_pixels = (0..width * n * height * n).into_par_iter();
+    sub_pixels.map(|i| coarse[coarse_of(i)].clone()).collect()
+}
+
+fn add_samples<Kept: Send>(
+    prepared: &Prepared<'_>,
+    view: &View,
+    frame: &mut [Kept],
     (number, item, cloud): (u32, &PreparedItem<'_>, &PointCloud),
+    keep: impl Fn(&mut Kept, Hit) + Sync,
 ) {
     let (width, height) = (view.width as usize, view.height as usize);
     let discs = prepared.scene.discs;
     let project = |(index, &position): (usize, _)| {
+        if item.is_clear_sample(cloud, index) {
+            return None;
+        }
         let position_view = item.to_view(position)?;
         let centre = view.project(position_view)?;
         let depth = -position_view.z;
@@ -224,7 +253,7 @@ fn add_samples(
                 let place = || view.at_depth(pixel_ray(view, x, y), point.hit.depth);
                 let is_shown = || point.radius.is_none() || prepared.shows(view, place());
                 if point.covers(x, y) && is_shown() {
-                    keep_nearer(prepared, &mut pixels[(y - y0) * width + x], point.hit);
+                    keep(&mut pixels[(y - y0) * width + x], point.hit);
                 }
             }
         }

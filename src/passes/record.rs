@@ -4,6 +4,7 @@
 use super::frame::FrameTask;
 use super::recorder::{Context, PassSpan, Recorder};
 use super::uniforms::GroupUniforms;
+use super::windows::LAYERS;
 use super::{project, reconstruct, resolve, select, shadow};
 use crate::gpu::shader::ShaderError;
 use crate::plan::{Pass, Step, pass_table};
@@ -50,8 +51,9 @@ pub fn record(
 
 fn record_step(recorder: &mut Recorder, step: &Step) -> Result<(), ShaderError> {
     recorder.stage = step.stage;
-    for (segment, level) in recorder.rounds_of(step.per) {
+    for (segment, level) in recorder.rounds_of(step) {
         (recorder.segment, recorder.level) = (segment, level);
+        recorder.layers = if step.takes_turns() { level..level + 1 } else { 0..LAYERS as usize };
         if segment.is_some() {
             // The list of what is large is the segment's own: its ids mean elements of one page.
             recorder.empty_list();

@@ -189,6 +189,9 @@ fn packing_is_read_as_it_is_written() {
 fn flags_and_outputs_have_the_same_numbers() {
     let triangles = module("resolve/resolve_triangles");
     let numbers = [
+        ("INSTANCE_MIRRORED", INSTANCE_MIRRORED),
+        ("INSTANCE_TRANSLUCENT", INSTANCE_TRANSLUCENT),
+        ("INSTANCE_CLEAR", INSTANCE_CLEAR),
         ("MATERIAL_DOUBLE_SIDED", MATERIAL_DOUBLE_SIDED),
         ("MATERIAL_UNLIT", MATERIAL_UNLIT),
         ("MATERIAL_ALPHA_TEST", MATERIAL_ALPHA_TEST),

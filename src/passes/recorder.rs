@@ -1,6 +1,7 @@
 //! Steps with which every pass records itself: find its pipeline and bind groups, take its stamps, launch.
 
 use std::cell::RefCell;
+use std::ops::Range;
 use std::rc::Rc;
 
 use super::bindings::Names;
@@ -18,7 +19,7 @@ use crate::gpu::bind::BindCache;
 use crate::gpu::pipeline::{BindingSlot, GROUPS};
 use crate::gpu::shader::ShaderError;
 use crate::gpu::timing::{Span, Timer};
-use crate::plan::{Pass, Per, Specialisation, Stage};
+use crate::plan::{Pass, Per, Specialisation, Stage, Step};
 use crate::residency::layout::{GpuDispatch, LOD_LAUNCHES};
 use crate::residency::{Residency, ResidentScene};
 use crate::scene::clipping::Side;
@@ -71,8 +72,9 @@ pub struct Recorder<'a, 'c> {
     pub segment: Segment,
     /// The level of the pyramid, or the digit, that the pass is recorded for, if it is for one; else 0.
     pub level: usize,
-    /// The window of the image that translucent surfaces are drawn in.
+    /// The window of the image that translucent surfaces are drawn in, and the layers of them that the pass goes through.
     pub window: usize,
+    pub layers: Range<usize>,
     pub spans: Vec<PassSpan>,
 }
 
@@ -135,15 +137,19 @@ impl<'a, 'c> Recorder<'a, 'c> {
             segment: None,
             level: 0,
             window: 0,
+            layers: 0..0,
             spans: Vec::new(),
         }
     }
 
-    /// Returns the segments and levels that a pass is recorded for, one after the other; no segment stands for the whole frame.
-    pub fn rounds_of(&self, per: Per) -> Vec<(Segment, usize)> {
+    /// Returns the segments and levels that a step's passes are recorded for, one after the other; no segment stands for the whole frame.
+    pub fn rounds_of(&self, step: &Step) -> Vec<(Segment, usize)> {
         let coarser = || (0..self.levels().count().saturating_sub(1)).map(|level| (None, level));
-        match per {
-            Per::Frame => vec![(None, 0)],
+        match step.per {
+            Per::Layer if step.takes_turns() => {
+                (0..LAYERS as usize).map(|layer| (None, layer)).collect()
+            }
+            Per::Frame | Per::Layer => vec![(None, 0)],
             Per::Segment(kind) => {
                 self.segments(&[kind]).into_iter().map(|segment| (segment, 0)).collect()
             }
@@ -188,10 +194,13 @@ impl<'a, 'c> Recorder<'a, 'c> {
     /// stage draws them.
     pub fn segments(&self, kinds: &[GeometryKind]) -> Vec<Segment> {
         let (composites, windowed) = (self.task.draws_opaque_first(), self.stage.is_windowed());
-        // Instances that are translucent beside opaque ones stand on pages of both.
-        let overrides = self.scene.looks.translucent_overrides;
+        let has_both = |page: PageKind| match page.kind {
+            // Instances that are translucent beside opaque ones stand on pages of both.
+            GeometryKind::Triangles => windowed && self.overrides_alpha(page.kind),
+            GeometryKind::Samples | GeometryKind::Lines => self.is_mixed(page),
+        };
         let is_drawn =
-            |page: PageKind| !composites || page.translucent == windowed || (windowed && overrides);
+            |page: PageKind| !composites || page.translucent == windowed || has_both(page);
         (0..self.scene.pages.len())
             .filter(|&index| {
                 let page = self.scene.pages[index].kind;
@@ -199,6 +208,16 @@ impl<'a, 'c> Recorder<'a, 'c> {
             })
             .map(Some)
             .collect()
+    }
+
+    /// Whether some instance of a kind of geometry has a translucent colour of its own.
+    pub fn overrides_alpha(&self, kind: GeometryKind) -> bool {
+        self.scene.looks.translucent_overrides[kind as usize]
+    }
+
+    /// Whether a page of samples or lines may have both translucent and opaque ones. The nodes of point trees have no alpha.
+    pub fn is_mixed(&self, page: PageKind) -> bool {
+        page.translucent || (self.overrides_alpha(page.kind) && !page.nodes)
     }
 
     /// Whether the pass asks triangles for their alpha at each pixel, which costs a CPU adapter several times the rest.
@@ -302,8 +321,8 @@ impl<'a, 'c> Recorder<'a, 'c> {
         let choices = Choices { subgroups: gpu.subgroups, ..choices };
         let pipeline = self.context.pipelines.compute(gpu, self.pass, choices, constants)?;
         // Layer by layer, and in each through all segments.
-        let layers = if choices.layers { LAYERS as usize } else { 1 };
-        let launches: Vec<(usize, Segment)> = (0..layers)
+        let layers = if choices.layers { self.layers.clone() } else { 0..1 };
+        let launches: Vec<(usize, Segment)> = layers
             .flat_map(|layer| segments.iter().map(move |&segment| (layer, segment)))
             .collect();
         let binds: Vec<Binds> = launches

@@ -29,6 +29,31 @@ pub fn splat_constants(reconstruction: &Reconstruction, walked: bool) -> Constan
     ]
 }
 
+/// Overrides of passes over the visibility of splats. Translucent splats are not blended with each other: each is where its disk is.
+pub fn visible_constants(recorder: &Recorder, walked: bool) -> Constants {
+    let mut constants = splat_constants(&recorder.task.reconstruction, walked);
+    if recorder.stage.is_windowed() {
+        let weighted = constants.iter_mut().filter(|(name, _)| *name == "WEIGHTED");
+        weighted.for_each(|(_, value)| *value = 0);
+    }
+    constants.extend(node_constants(recorder, recorder.segment));
+    constants
+}
+
+/// Whether a segment's page may have both translucent and opaque elements.
+pub fn is_mixed(recorder: &Recorder, segment: Segment) -> bool {
+    segment.is_some_and(|index| recorder.is_mixed(recorder.scene.pages[index].kind))
+}
+
+/// Override of `shared/sorts`, for pages that may have translucent elements.
+pub fn sort_constants(recorder: &Recorder, segment: Segment) -> Constants {
+    let sort = match (recorder.task.draws_opaque_first(), recorder.stage.is_windowed()) {
+        (false, _) => 3,
+        (true, windowed) => 1 + u32::from(windowed),
+    };
+    is_mixed(recorder, segment).then_some(("SORT", sort)).into_iter().collect()
+}
+
 /// Whether a segment's samples carry clip lines.
 pub fn is_clipped(recorder: &Recorder, segment: Segment) -> bool {
     segment.is_some_and(|index| recorder.scene.pages[index].kind.clipped)

@@ -166,6 +166,8 @@ fragments![
     "shared/normal_sums_32",
     "shared/lit_none",
     "shared/lit_splat",
+    "shared/rows_all",
+    "shared/sorts",
     "shared/visibility_64",
     "shared/visibility_depth",
     "shared/visibility_id",

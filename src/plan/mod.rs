@@ -55,11 +55,27 @@ pub struct SceneFacts {
     pub sparse_lines: bool,
     /// Its assets are point trees, from which a frame takes the detail that it shows.
     pub trees: bool,
-    /// Some of its triangles are translucent.
-    pub translucent: bool,
+    /// For each kind of geometry, whether some of its elements are translucent.
+    pub translucent: [bool; GeometryKind::ALL.len()],
     /// Some nodes have translucent colours of their own.
     pub translucent_nodes: bool,
     pub looks: Looks,
+}
+
+impl SceneFacts {
+    pub fn has(&self, kind: GeometryKind) -> bool {
+        self.counts.of(kind) > 0
+    }
+
+    /// Whether some elements of a kind are translucent.
+    pub fn is_translucent(&self, kind: GeometryKind) -> bool {
+        self.translucent[kind as usize]
+    }
+
+    /// Whether anything is translucent.
+    pub fn has_translucent(&self) -> bool {
+        self.translucent.contains(&true)
+    }
 }
 
 /// Number of turns in which distant chunks are tested for occlusion; the shaders have the same number.
@@ -241,12 +257,20 @@ pub struct FramePlan {
     pub lights_pixels: bool,
 }
 
-/// Consecutive passes of one stage, recorded once, for each segment of a kind, or for each digit of a sort.
+/// Consecutive passes of one stage, recorded once, for each segment of a kind, for each digit of a sort, or for each layer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Step {
     pub stage: Stage,
     pub per: Per,
     pub passes: Vec<Pass>,
+}
+
+impl Step {
+    /// Whether its passes take turns layer by layer. Tubes and ribbons have pipelines of their own, which take turns as well.
+    pub fn takes_turns(&self) -> bool {
+        let has_lines = self.passes.contains(&Pass::ResolveLinesLayers);
+        self.per == Per::Layer && (has_lines || self.passes.len() > 1)
+    }
 }
 
 impl FramePlan {
@@ -286,7 +310,7 @@ impl FramePlan {
                 let passes: Vec<Pass> = passes.copied().collect();
                 let together = |a: &Pass, b: &Pass| {
                     let per = a.line().per;
-                    per == b.line().per && matches!(per, Per::Segment(_) | Per::Digit)
+                    per == b.line().per && matches!(per, Per::Segment(_) | Per::Digit | Per::Layer)
                 };
                 steps.extend(passes.chunk_by(together).map(|passes| Step {
                     stage,
@@ -331,7 +355,7 @@ impl Facts<'_> {
         let frame = self.frame;
         let blends =
             self.scene.has(GeometryKind::Samples) && frame.reconstruction.weighted().is_some();
-        blends && self.scene.translucent && frame.output == Output::Color
+        blends && self.scene.has_translucent() && frame.output == Output::Color
     }
 
     /// Whether splats leave no depths in the image.
@@ -348,14 +372,17 @@ impl Facts<'_> {
             && self.frame.reconstruction.shades(Shading::Splat)
     }
 
-    /// Whether light is computed for each pixel. Splats that are lit one by one need none after they are blended.
+    /// Whether light is computed for each pixel. Splats that are lit one by one need none after they are blended, unless some are
+    /// translucent.
     fn lights_pixels(&self) -> bool {
         let reconstruction = &self.frame.reconstruction;
         let only_splats = GeometryKind::ALL
             .iter()
             .all(|&kind| self.scene.has(kind) == (kind == GeometryKind::Samples));
-        let is_done =
-            reconstruction.shades(Shading::Splat) && reconstruction.blends() && only_splats;
+        let is_done = reconstruction.shades(Shading::Splat)
+            && reconstruction.blends()
+            && only_splats
+            && !self.scene.has_translucent();
         self.frame.output == Output::Color && self.scene.lights > 0 && !is_done
     }
 }

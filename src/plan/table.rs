@@ -9,8 +9,8 @@
 //! 3. the WGSL file below `shaders/`; the recording function has the same path below `passes/`;
 //! 4. the suffix that the name of the pass adds to the name of the file;
 //! 5. the stages in which it is recorded; the first is the one that it belongs to;
-//! 6. whether it is recorded once a frame, once for each segment of a kind of geometry, once for each level of a pyramid, or once for
-//!    each digit of a sort ([`Per`]);
+//! 6. whether it is recorded once a frame, once for each segment of a kind of geometry, once for each level of a pyramid, once for
+//!    each digit of a sort, or once for each layer of translucent surfaces ([`Per`]);
 //! 7. the reasons to skip it. The pass runs if none of them holds.
 //!
 //! A second table lists the effects that have no pass of their own: passes have their code where a frame calls for it.
@@ -81,13 +81,25 @@ macro_rules! pass_table {
             AmbientOcclusion     Compute resolve/ambient_occlusion     ""    [Resolve]           Frame     [NOT_COLOR NO_OCCLUSION WITHOUT_OCCLUSION DEPTHLESS LIT_SINGLY];
             WriteOutput          Compute resolve/write_output          ""    [Resolve]           Frame     [NOT_COLOR NO_EFFECT];
             CompositeSplats      Compute resolve/composite_splats      ""    [Resolve]           Frame     [NO_SAMPLES NOT_PAINTED];
-            ProjectTrianglesLayers      Compute project/project_triangles   "_layers"    [Layers]   Triangles [OPAQUE_SCENE NOT_COLOR];
-            RasteriseTrianglesLayers    Raster  project/rasterise_triangles "_layers"    [Layers]   Triangles [OPAQUE_SCENE NOT_COLOR WALKS];
-            WalkTrianglesLayers         Compute project/walk_triangles      "_layers"    [Layers]   Triangles [OPAQUE_SCENE NOT_COLOR RASTERISES];
-            ProjectTrianglesLayersId    Compute project/project_triangles   "_layers_id" [LayerIds] Triangles [OPAQUE_SCENE NOT_COLOR WIDE_SUMS];
-            RasteriseTrianglesLayersId  Raster  project/rasterise_triangles "_layers_id" [LayerIds] Triangles [OPAQUE_SCENE NOT_COLOR WIDE_SUMS WALKS];
-            WalkTrianglesLayersId       Compute project/walk_triangles      "_layers_id" [LayerIds] Triangles [OPAQUE_SCENE NOT_COLOR WIDE_SUMS RASTERISES];
-            ResolveTrianglesLayers      Compute resolve/resolve_triangles   "_layers"    [Composite] Frame    [OPAQUE_SCENE NOT_COLOR];
+            ProjectSamplesLayers        Compute project/project_samples     "_layers"    [Layers]   Frame     [OPAQUE_SAMPLES NOT_COLOR AS_SPLATS AS_DISCS];
+            ProjectSplatsLayers         Compute project/project_splats      "_layers"    [Layers]   Samples   [OPAQUE_SAMPLES NOT_COLOR AS_POINTS PULLED NO_DEPTHS];
+            WalkSplatsLayers            Compute project/walk_splats         "_layers"    [Layers]   Samples   [OPAQUE_SAMPLES NOT_COLOR AS_POINTS PULLED NO_DEPTHS];
+            ProjectTrianglesLayers      Compute project/project_triangles   "_layers"    [Layers]   Triangles [OPAQUE_TRIANGLES NOT_COLOR];
+            RasteriseTrianglesLayers    Raster  project/rasterise_triangles "_layers"    [Layers]   Triangles [OPAQUE_TRIANGLES NOT_COLOR WALKS];
+            WalkTrianglesLayers         Compute project/walk_triangles      "_layers"    [Layers]   Triangles [OPAQUE_TRIANGLES NOT_COLOR RASTERISES];
+            ProjectLinesLayers          Compute project/project_lines       "_layers"    [Layers]   Lines     [OPAQUE_LINES NOT_COLOR];
+            WalkLinesLayers             Compute project/walk_lines          "_layers"    [Layers]   Lines     [OPAQUE_LINES NOT_COLOR];
+            ProjectSamplesLayersId      Compute project/project_samples     "_layers_id" [LayerIds] Frame     [OPAQUE_SAMPLES NOT_COLOR AS_SPLATS AS_DISCS WIDE_SUMS];
+            ProjectSplatsLayersId       Compute project/project_splats      "_layers_id" [LayerIds] Samples   [OPAQUE_SAMPLES NOT_COLOR AS_POINTS PULLED NO_DEPTHS WIDE_SUMS];
+            WalkSplatsLayersId          Compute project/walk_splats         "_layers_id" [LayerIds] Samples   [OPAQUE_SAMPLES NOT_COLOR AS_POINTS PULLED NO_DEPTHS WIDE_SUMS];
+            ProjectTrianglesLayersId    Compute project/project_triangles   "_layers_id" [LayerIds] Triangles [OPAQUE_TRIANGLES NOT_COLOR WIDE_SUMS];
+            RasteriseTrianglesLayersId  Raster  project/rasterise_triangles "_layers_id" [LayerIds] Triangles [OPAQUE_TRIANGLES NOT_COLOR WIDE_SUMS WALKS];
+            WalkTrianglesLayersId       Compute project/walk_triangles      "_layers_id" [LayerIds] Triangles [OPAQUE_TRIANGLES NOT_COLOR WIDE_SUMS RASTERISES];
+            ProjectLinesLayersId        Compute project/project_lines       "_layers_id" [LayerIds] Lines     [OPAQUE_LINES NOT_COLOR WIDE_SUMS];
+            WalkLinesLayersId           Compute project/walk_lines          "_layers_id" [LayerIds] Lines     [OPAQUE_LINES NOT_COLOR WIDE_SUMS];
+            ResolveSamplesLayers        Compute resolve/resolve_samples     "_layers"    [Composite] Layer    [OPAQUE_SAMPLES NOT_COLOR];
+            ResolveTrianglesLayers      Compute resolve/resolve_triangles   "_layers"    [Composite] Layer    [OPAQUE_TRIANGLES NOT_COLOR];
+            ResolveLinesLayers          Compute resolve/resolve_lines       "_layers"    [Composite] Layer    [OPAQUE_LINES NOT_COLOR];
             CompositeLayers             Compute resolve/composite_layers    ""           [Composite] Frame    [OPAQUE_SCENE NOT_COLOR];
             Average              Compute resolve/average               ""    [Finish]            Frame     [NOT_AVERAGED EXPOSED];
             Accumulate           Compute resolve/accumulate            ""    [Finish]            Frame     [NOT_COLOR NOT_EXPOSED];
@@ -186,9 +198,12 @@ pub enum Per {
     Finer,
     /// Each digit of the keys that splats are sorted by. Consecutive passes take turns digit by digit.
     Digit,
+    /// Each layer of translucent surfaces, the nearest first. Consecutive passes take turns layer by layer, and lines do in any case; another
+    /// pass that is alone goes through all layers at once.
+    Layer,
 }
 
-/// Makes a [`Per`] of the word in the table: `Frame`, `Coarser`, `Finer`, `Digit`, or a kind of geometry.
+/// Makes a [`Per`] of the word in the table: `Frame`, `Coarser`, `Finer`, `Digit`, `Layer`, or a kind of geometry.
 macro_rules! per {
     (Frame) => {
         Per::Frame
@@ -201,6 +216,9 @@ macro_rules! per {
     };
     (Digit) => {
         Per::Digit
+    };
+    (Layer) => {
+        Per::Layer
     };
     ($kind:ident) => {
         Per::Segment(GeometryKind::$kind)
@@ -299,7 +317,10 @@ reasons! {
     EXPOSED: "the parts of pixels are averaged with the exposures", |f| f.frame.is_exposed;
     NOT_EXPOSED: "the frame is a single exposure: it has no aperture, and no path moves its camera while a shutter is open",
         |f| !f.frame.is_exposed;
-    OPAQUE_SCENE: "the scene has no translucent triangles", |f| !f.scene.translucent;
+    OPAQUE_SCENE: "nothing in the scene is translucent", |f| !f.scene.has_translucent();
+    OPAQUE_SAMPLES: "the scene has no translucent samples", |f| !f.scene.is_translucent(GeometryKind::Samples);
+    OPAQUE_TRIANGLES: "the scene has no translucent triangles", |f| !f.scene.is_translucent(GeometryKind::Triangles);
+    OPAQUE_LINES: "the scene has no translucent lines", |f| !f.scene.is_translucent(GeometryKind::Lines);
     IDS: "the output is id", |f| f.frame.output == super::Output::Id;
     // `FramePlan::with_identities` makes it run.
     NOT_PICKED: "no pixel is picked", |_| true;

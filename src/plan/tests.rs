@@ -7,6 +7,10 @@ const SAMPLES: Counts = Counts { samples: 1, chunks: 1, instances: 1, triangles:
 const TRIANGLES: Counts = Counts { samples: 0, chunks: 1, instances: 1, triangles: 1, segments: 0 };
 const BOTH: Counts = Counts { samples: 1, ..TRIANGLES };
 
+/// Kinds of geometry with translucent elements.
+const SAMPLES_ALONE: [bool; 3] = [true, false, false];
+const TRIANGLES_ALONE: [bool; 3] = [false, true, false];
+
 const POINTS: Reconstruction = Reconstruction::Points;
 const WIDE: AdapterFacts =
     AdapterFacts { atomics_64: true, atomic_sums_64: true, rasterises: true, draws_hidden: false };
@@ -31,7 +35,7 @@ fn every_plan() -> Vec<FramePlan> {
     }
     let mut scenes = Vec::new();
     for (samples, triangles, trees) in iproduct([0, 1], [0, 1], sides) {
-        let translucent = triangles > 0 && trees;
+        let translucent = [samples > 0 && !trees, triangles > 0 && trees, false];
         for (lights, chunks) in [(0, 1), (2, 1), (0, MANY_CHUNKS), (2, MANY_CHUNKS)] {
             scenes.push(SceneFacts {
                 counts: Counts { samples, triangles, segments: 0, chunks, instances: 1 },
@@ -163,7 +167,7 @@ fn large_triangles_are_drawn_in_one_way() {
 #[test]
 fn translucent_triangles_take_passes_where_there_are_some() {
     let opaque = SceneFacts { counts: TRIANGLES, ..Default::default() };
-    let glass = SceneFacts { translucent: true, ..opaque };
+    let glass = SceneFacts { translucent: TRIANGLES_ALONE, ..opaque };
     let halves = AdapterFacts { atomic_sums_64: false, ..WIDE };
     let runs = |facts: &SceneFacts, output, adapter: &AdapterFacts| {
         let plan = plan(facts, output, &POINTS, adapter);
@@ -179,6 +183,64 @@ fn translucent_triangles_take_passes_where_there_are_some() {
     for output in [Output::Depth, Output::Normal, Output::Id] {
         assert!(runs(&glass, output, &WIDE).is_empty());
     }
+}
+
+#[test]
+fn translucent_samples_take_passes_by_how_they_are_drawn() {
+    let opaque = SceneFacts { counts: SAMPLES, ..Default::default() };
+    let mist = SceneFacts { translucent: SAMPLES_ALONE, ..opaque };
+    let halves = AdapterFacts { atomic_sums_64: false, ..WIDE };
+    let runs = |facts: &SceneFacts, method: &Reconstruction, adapter: &AdapterFacts| {
+        let plan = plan(facts, Output::Color, method, adapter);
+        let names = running(&plan).into_iter().map(Pass::name);
+        names.filter(|name| name.contains("layers")).collect::<Vec<_>>()
+    };
+    let ends = ["resolve_samples_layers", "composite_layers"];
+    let one = ["project_samples_layers"];
+    assert_eq!(runs(&mist, &POINTS, &WIDE), [&one[..], &ends].concat());
+    let ids = ["project_samples_layers_id"];
+    assert_eq!(runs(&mist, &POINTS, &halves), [&one[..], &ids, &ends].concat());
+    let disks = ["project_splats_layers", "walk_splats_layers"];
+    let discs = Reconstruction::Discs(Discs { diameter_px: 3.0, diameter: 0.0 });
+    for method in [discs, Reconstruction::Splats(Splats::default())] {
+        assert_eq!(runs(&mist, &method, &WIDE), [&disks[..], &ends].concat());
+        assert!(runs(&opaque, &method, &WIDE).is_empty());
+    }
+    // They are lit, also where the splats among them are lit one by one.
+    let lit = Splats { shading: Shading::Splat, ..Splats::default() };
+    let lit = Reconstruction::Splats(lit);
+    let is_lit = |facts: &SceneFacts| plan(facts, Output::Color, &lit, &WIDE).lights_pixels;
+    assert!(is_lit(&SceneFacts { lights: 1, ..mist }));
+    assert!(!is_lit(&SceneFacts { lights: 1, ..opaque }));
+}
+
+#[test]
+fn translucent_lines_take_turns_with_each_other() {
+    let counts = Counts { segments: 1, triangles: 0, ..TRIANGLES };
+    let opaque = SceneFacts { counts, ..Default::default() };
+    let smoke = SceneFacts { translucent: [false, false, true], ..opaque };
+    let plan_of = |facts: &SceneFacts| plan(facts, Output::Color, &POINTS, &WIDE);
+    let layers = |facts: &SceneFacts| {
+        let names = running(&plan_of(facts)).into_iter().map(Pass::name);
+        names.filter(|name| name.contains("layers")).collect::<Vec<_>>()
+    };
+    let passes = ["project_lines_layers", "walk_lines_layers"];
+    assert_eq!(layers(&smoke), [passes, ["resolve_lines_layers", "composite_layers"]].concat());
+    assert!(layers(&opaque).is_empty());
+    let steps = plan_of(&smoke).steps();
+    assert!(steps.iter().any(|step| step.per == Per::Layer && step.takes_turns()));
+}
+
+#[test]
+fn layers_of_several_kinds_are_resolved_in_turns() {
+    let facts = SceneFacts { counts: BOTH, ..Default::default() };
+    let turns = |translucent| {
+        let plan = plan(&SceneFacts { translucent, ..facts }, Output::Color, &POINTS, &WIDE);
+        let step = plan.steps().into_iter().find(|step| step.per == Per::Layer).unwrap();
+        (step.passes.len(), step.takes_turns())
+    };
+    assert_eq!(turns([true, true, false]), (2, true));
+    assert_eq!([turns(SAMPLES_ALONE), turns(TRIANGLES_ALONE)], [(1, false); 2]);
 }
 
 #[test]
@@ -241,7 +303,11 @@ fn passes_that_share_a_list_go_through_segments_together() {
         let is_plain = ["record_samples", "count_splats", "list_splats"].contains(&names[0]);
         let by_segment = matches!(step.per, Per::Segment(_)) && !is_plain;
         assert_eq!(listed, by_segment, "{names:?}");
-        let together = if step.per == Per::Digit { 3 } else { 1 };
+        let together = match step.per {
+            Per::Digit => 3,
+            Per::Layer => names.len(),
+            _ => 1,
+        };
         assert_eq!(names.len(), if listed { 2 } else { together }, "{names:?}");
     }
 }
@@ -382,7 +448,7 @@ fn effects_without_a_pass_are_left_out_for_a_reason() {
     let looks = Looks {
         textures: true,
         overrides: false,
-        translucent_overrides: false,
+        translucent_overrides: [false; 3],
         specular: true,
         physical: true,
         emissive: true,
@@ -396,7 +462,7 @@ fn effects_without_a_pass_are_left_out_for_a_reason() {
         lights: 1,
         environment: true,
         fog: true,
-        translucent: true,
+        translucent: TRIANGLES_ALONE,
         looks,
         ..Default::default()
     };
@@ -411,7 +477,7 @@ fn effects_without_a_pass_are_left_out_for_a_reason() {
     let count = Specialisation::ALL.len();
     assert_eq!(why(&rich, &frame), vec![None; count]);
     let bare = FrameFacts { edl: None, is_toned: false, ..frame };
-    let plain = SceneFacts { lights: 1, translucent: true, ..Default::default() };
+    let plain = SceneFacts { lights: 1, translucent: TRIANGLES_ALONE, ..Default::default() };
     assert_eq!(
         why(&plain, &bare),
         [
@@ -440,8 +506,8 @@ fn effects_without_a_pass_are_left_out_for_a_reason() {
     for effect in [Materials, Tone] {
         assert_eq!(of(&dark, &frame, effect), Some("the scene has no lights"));
     }
-    let solid = SceneFacts { translucent: false, ..rich };
-    assert_eq!(of(&solid, &frame, Transmits), Some("the scene has no translucent triangles"));
+    let solid = SceneFacts { translucent: [false; 3], ..rich };
+    assert_eq!(of(&solid, &frame, Transmits), Some("nothing in the scene is translucent"));
     let off = FrameFacts { environment: Effect::Off, fog: Effect::Off, ..frame };
     assert_eq!(of(&rich, &off, Environment), Some("the environment is off"));
     assert_eq!(of(&rich, &off, Fog), Some("fog is off"));

@@ -14,7 +14,7 @@ pub struct GpuInstance {
     pub axis_y: [f32; 3],
     pub id: u32,
     pub axis_z: [f32; 3],
-    pub mirrored: u32,
+    pub flags: u32,
     pub inverse_x: [f32; 3],
     pub reach: f32,
     pub inverse_y: [f32; 3],
@@ -204,6 +204,11 @@ pub struct GpuMaterial {
     pub volume: [f32; 3],
     pub transmission_map: u32,
 }
+
+/// Flags of [`GpuInstance`]; as in `shared/scene.wgsl`.
+pub const INSTANCE_MIRRORED: u32 = 1;
+pub const INSTANCE_TRANSLUCENT: u32 = 2;
+pub const INSTANCE_CLEAR: u32 = 4;
 
 pub const MATERIAL_DOUBLE_SIDED: u32 = 1;
 pub const MATERIAL_UNLIT: u32 = 2;

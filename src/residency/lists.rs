@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use super::layout::{
-    GpuChunkRun, GpuEntry, GpuInstance, GpuInstanceGroup, GpuSegment, INSTANCE_GROUP,
-    MOST_SEGMENTS, two_floats,
+    GpuChunkRun, GpuEntry, GpuInstance, GpuInstanceGroup, GpuSegment, INSTANCE_CLEAR,
+    INSTANCE_GROUP, INSTANCE_TRANSLUCENT, MOST_SEGMENTS, two_floats,
 };
 use super::model::{AssetModel, ModelInstance, SceneModel, gpu_instance};
 use super::slots::Slots;
@@ -15,6 +15,7 @@ use crate::bake::pack::{GeometryKind, PackedGeometry, PageKind};
 use crate::gpu::Gpu;
 use crate::gpu::buffer::Buffer;
 use crate::math::Bounds;
+use crate::scene::MaterialSpec;
 
 /// Buffers of a revision of a scene that the next revision uses again.
 pub(super) struct Previous {
@@ -40,7 +41,16 @@ pub(super) struct Listed {
 fn record(model: &SceneModel, instance: &ModelInstance, material_start: u32) -> GpuInstance {
     let material = instance.material.map_or(0, |material| material_start + material as u32 + 1);
     let grid = model.geometry(instance).grid();
-    gpu_instance(grid, &instance.world_from_geometry, material, instance.id)
+    let record = gpu_instance(grid, &instance.world_from_geometry, material, instance.id);
+    let alpha = model.override_of(instance).map_or(1.0, MaterialSpec::alpha);
+    let mut flags = record.flags;
+    if model.shows_through(instance) {
+        flags |= INSTANCE_TRANSLUCENT;
+    }
+    if alpha <= 0.0 {
+        flags |= INSTANCE_CLEAR;
+    }
+    GpuInstance { flags, ..record }
 }
 
 /// Page of the one empty segment of a scene without anything to draw.

@@ -105,8 +105,8 @@ pub struct Looks {
     pub textures: bool,
     /// Some instance overrides its asset's materials.
     pub overrides: bool,
-    /// Some instance of a mesh has a translucent colour of its own.
-    pub translucent_overrides: bool,
+    /// For each kind of geometry, whether some instance has a translucent colour of its own.
+    pub translucent_overrides: [bool; GeometryKind::ALL.len()],
     pub specular: bool,
     /// Some material reflects as the metallic-roughness model has it.
     pub physical: bool,

@@ -7,7 +7,7 @@ use std::sync::{Arc, OnceLock};
 use glam::{DAffine3, DMat3, DVec3};
 
 use super::instances::Instances;
-use super::layout::{GpuEntry, GpuInstance, INSTANCE_GROUP, two_floats};
+use super::layout::{GpuEntry, GpuInstance, INSTANCE_GROUP, INSTANCE_MIRRORED, two_floats};
 use super::once::MadeOnce;
 use super::{Looks, slots};
 use crate::assets::Material;
@@ -118,9 +118,9 @@ impl AssetModel {
         self.outlined.get_or_init(|| Outline::of_all(&self.packed.geometries))
     }
 
-    /// Whether something shows through some of its triangles.
-    pub fn has_translucent(&self) -> bool {
-        let geometries = self.packed.geometries.iter();
+    /// Whether something shows through some of its elements of a kind.
+    pub fn has_translucent(&self, kind: GeometryKind) -> bool {
+        let geometries = self.packed.geometries.iter().filter(|geometry| geometry.kind() == kind);
         geometries.flat_map(|geometry| geometry.chunks()).any(|chunk| chunk.translucent)
     }
 
@@ -199,15 +199,23 @@ impl SceneModel {
         self.instances.iter().map(area).sum()
     }
 
-    /// Whether some instance of a mesh has a translucent colour of its own.
-    pub fn has_translucent_overrides(&self) -> bool {
-        let is_translucent = |instance: &ModelInstance| {
-            let own = instance.material.and_then(|number| self.materials.get(number));
-            own.is_some_and(MaterialSpec::is_translucent)
-                && self.geometry(instance).kind() == GeometryKind::Triangles
-        };
+    /// The material that an instance has of its own.
+    pub(super) fn override_of(&self, instance: &ModelInstance) -> Option<&MaterialSpec> {
+        instance.material.and_then(|number| self.materials.get(number))
+    }
+
+    /// Whether an instance has a translucent colour of its own. Light passes the surfaces of meshes alone in place of being scattered.
+    pub(super) fn shows_through(&self, instance: &ModelInstance) -> bool {
+        let is_mesh = self.geometry(instance).kind() == GeometryKind::Triangles;
+        let own = self.override_of(instance);
+        own.is_some_and(|own| own.alpha() < 1.0 || (is_mesh && own.is_translucent()))
+    }
+
+    /// Whether some instance of a kind of geometry has a translucent colour of its own.
+    pub fn has_translucent_overrides(&self, kind: GeometryKind) -> bool {
+        let is_of_kind = |instance: &&ModelInstance| self.geometry(instance).kind() == kind;
         self.materials.iter().any(MaterialSpec::is_translucent)
-            && self.instances.iter().any(is_translucent)
+            && self.instances.iter().filter(is_of_kind).any(|own| self.shows_through(own))
     }
 
     /// The materials of all assets.
@@ -230,7 +238,9 @@ impl SceneModel {
         Looks {
             textures: maps || materials.clone().any(|one| one.base_texture.is_some()),
             overrides: !own.is_empty() && self.instances.iter().any(|one| one.material.is_some()),
-            translucent_overrides: self.has_translucent_overrides(),
+            translucent_overrides: std::array::from_fn(|number| {
+                self.has_translucent_overrides(GeometryKind::ALL[number])
+            }),
             specular: shines || own.iter().any(is_polished),
             physical: materials.clone().any(|one| one.physical.is_some())
                 || own.iter().any(MaterialSpec::is_physical),
@@ -311,6 +321,7 @@ pub fn gpu_instance(
     let row = |v: DVec3| v.as_vec3().to_array();
     let rows = inverse.transpose();
     let split = origin.to_array().map(two_floats);
+    let is_mirrored = world_from_geometry.matrix3.determinant() < 0.0;
     GpuInstance {
         axis_x: row(linear.x_axis),
         axis_y: row(linear.y_axis),
@@ -322,7 +333,7 @@ pub fn gpu_instance(
         origin_lo: split.map(|(_, lo)| lo),
         material,
         id,
-        mirrored: u32::from(world_from_geometry.matrix3.determinant() < 0.0),
+        flags: if is_mirrored { INSTANCE_MIRRORED } else { 0 },
         reach: grid.reach as f32,
         ..GpuInstance::default()
     }

@@ -177,9 +177,14 @@ impl MaterialSpec {
         self.specular.is_some() || self.shininess.is_some()
     }
 
+    /// The alpha of its colour; 1 where it has none.
+    pub fn alpha(&self) -> f32 {
+        self.base_color.map_or(1.0, |color| color[3])
+    }
+
     /// Whether meshes of this material let what is behind them show through.
     pub fn is_translucent(&self) -> bool {
-        self.base_color.is_some_and(|color| color[3] < 1.0) || self.transmits()
+        self.alpha() < 1.0 || self.transmits()
     }
 
     /// Whether it lets light pass in place of scattering it.

@@ -38,6 +38,25 @@ fn bundle() -> String {
     text
 }
 
+/// A ball of points of every alpha, as a PLY file.
+fn mist() -> String {
+    let mut text = String::from("ply\nformat ascii 1.0\nelement vertex 600\n");
+    for name in ["float x", "float y", "float z"] {
+        text += &format!("property {name}\n");
+    }
+    for name in ["red", "green", "blue", "alpha"] {
+        text += &format!("property uchar {name}\n");
+    }
+    text += "end_header\n";
+    for i in 0..600 {
+        let (sin, cos) = (2.4 * f64::from(i)).sin_cos();
+        let y = 1.0 - f64::from(i) / 300.0;
+        let flat = (1.0 - y * y).sqrt();
+        text += &format!("{} {y} {} 90 160 220 {}\n", flat * cos, flat * sin, i % 256);
+    }
+    text
+}
+
 /// Loads rows of bundles, balls and clouds one behind the other, with walls that close the view in places.
 fn load(studio: &Studio) {
     studio.write("ball.ply", sphere(24));
@@ -90,6 +109,18 @@ fn load(studio: &Studio) {
             "environment": { "file": "sky.png", "strength": 0.4 },
             "fog": { "color": "#a0b0c0", "density": 0.05, "scale_height": 2 },
         }),
+    );
+    // Translucent points, translucent lines, and nothing else.
+    let smoke = bundle() + "COLOR_SCALARS rgba 4\n" + &"0.3 0.6 0.9 0.5\n".repeat(720);
+    studio.write("smoke.vtk", smoke);
+    studio.load_json(
+        "smoke",
+        &json!({ "assets": { "smoke": { "file": "smoke.vtk" } }, "nodes": [{ "asset": "smoke" }] }),
+    );
+    studio.write("mist.ply", mist());
+    studio.load_json(
+        "mist",
+        &json!({ "assets": { "mist": { "file": "mist.ply" } }, "nodes": [{ "asset": "mist", "scale": 3 }] }),
     );
     // Kernels that reach far beyond their centres, under a wide filter, in stretched and mirrored instances.
     studio.load_json(
@@ -227,8 +258,11 @@ fn every_pass_is_recorded_by_some_frame_in_the_order_of_the_table() {
             Settings { antialias: Antialias::Parts4, ..Settings::drawn_as(Reconstruct::Points) };
         let lens = Settings { aperture: 0.1.into(), ..Settings::drawn_as(Reconstruct::Points) };
         let rows = settings().into_iter().take(10).chain([shaped, fine, lens]);
-        let glass = Settings::drawn_as(Reconstruct::Points);
-        let frames = rows.map(|settings| ("rows", settings)).chain([("glass", glass)]);
+        let points = Settings::drawn_as(Reconstruct::Points);
+        let splats = Settings::drawn_as(Reconstruct::Splats);
+        let translucent =
+            [("glass", points), ("mist", points), ("mist", splats), ("smoke", points)];
+        let frames = rows.map(|settings| ("rows", settings)).chain(translucent);
         for (scene, settings) in frames {
             let scene = scene.to_owned();
             let request = FrameRequest { scene, settings, ..views().remove(0) };

@@ -53,6 +53,19 @@ pub fn ribbons(strands: &[Vec<Vertex>], normals: &[DVec3]) -> Vec<u8> {
     text.into_bytes()
 }
 
+/// A file of [`vtk`] or [`ribbons`], whose colours have an alpha.
+pub fn with_alpha(file: Vec<u8>, alpha: f64) -> Vec<u8> {
+    let text = String::from_utf8(file).unwrap();
+    let (head, tail) = text.split_once("COLOR_SCALARS rgb 3\n").unwrap();
+    let colors = tail.lines().take_while(|line| !line.starts_with("VECTORS")).count();
+    let mut text = format!("{head}COLOR_SCALARS rgba 4\n");
+    for (number, line) in tail.lines().enumerate() {
+        text += line;
+        text += &if number < colors { format!(" {alpha}\n") } else { "\n".to_owned() };
+    }
+    text.into_bytes()
+}
+
 fn tint(p: DVec3) -> [u8; 3] {
     let wave = |v: f64| (128.0 + 90.0 * v.sin()) as u8;
     [wave(p.x), wave(p.y + 1.0), wave(p.z + p.x + 2.0)]

@@ -1,12 +1,15 @@
-//! Translucent surfaces, in the order of their depths.
+//! Translucent surfaces, points and lines, in the order of their depths.
 
 use glam::{DVec3, Vec3};
 use pointillist::accuracy::metrics;
 use pointillist::math::View;
-use pointillist::plan::{Antialias, Edl, Lod, Pass, Reconstruct, Settings};
+use pointillist::oracle::{self, OracleScene};
+use pointillist::plan::{Antialias, Edl, Lod, Pass, Reconstruct, Settings, Shadows};
+use pointillist::scene::Filter;
 use serde_json::{Value, json};
 
 use super::files::{Glb, Shape, picture};
+use super::lines;
 use super::splats;
 use super::stage::{Case, Frames, look};
 use super::verdict::Tolerance;
@@ -274,6 +277,157 @@ fn glass_among_splats() {
     }
     let settings = Settings::drawn_as(Reconstruct::Splats);
     splats::check(&case, &view, settings, settings, 40.0);
+}
+
+/// Points of every alpha in and about two panes that cross and something opaque.
+fn mist(name: &str, count: usize) -> Case {
+    let mut glb = Glb::new();
+    let parts = [
+        (pane(DVec3::ZERO, 25.0), glass([0.9, 0.2, 0.1, 0.4])),
+        (pane(DVec3::ZERO, 115.0), glass([0.1, 0.3, 0.9, 0.6])),
+        (Shape::ball(20, 0.4), solid([0.7, 0.7, 0.5])),
+    ];
+    for (shape, material) in parts {
+        let material = glb.material(material);
+        let mesh = glb.mesh(&shape, Some(material));
+        glb.node(mesh, json!({}));
+    }
+    let mut cloud = Shape::cloud(count, [-0.9; 3], [0.9; 3], 17).without_normals();
+    let alphas = [255, 128, 40, 200, 0].into_iter().cycle();
+    cloud.colors.iter_mut().zip(alphas).for_each(|(color, alpha)| color[3] = alpha);
+    // Splats as large as their spacing would be more layers than are kept.
+    cloud.fields = vec![("radius", "float", vec![0.03; count])];
+    let scene = json!({ "assets": { "m": { "file": "m.glb" }, "c": { "file": "c.ply" } },
+        "nodes": [{ "asset": "m" }, { "asset": "c" }] });
+    Case::new(name, &[("m.glb", glb.finish()), ("c.ply", cloud.ply())], &scene)
+}
+
+/// Points among glass: each is a layer of its pixel. Those without alpha are in no output.
+#[test]
+fn points_among_panes() {
+    let case = mist("mist", 4000);
+    let frames = case.check(&view(), &Tolerance::default());
+    assert!(frames.ran(Pass::ProjectSamplesLayers) && frames.ran(Pass::ResolveSamplesLayers));
+    assert!(frames.ran(Pass::ProjectSamples) && frames.ran(Pass::ResolveTrianglesLayers));
+    let drawn = frames.receipt.translucent.unwrap();
+    assert!(drawn.deepest >= 3 && drawn.deepest < 8, "{drawn:?}");
+    assert!(frames.receipt.samples.drawn.unwrap() > 1000);
+    // Point trees have opaque nodes.
+    let tree = Settings { lod: Lod::Spt, ..Settings::drawn_as(Reconstruct::Points) };
+    let tree = case.draw_wide(&view(), tree);
+    assert!(tree.receipt.settings.full_because.is_some() && tree.same_pixels(&frames));
+}
+
+/// Discs and the disks of splats are flat: each pixel that they cover has their alpha.
+#[test]
+fn disks_among_panes() {
+    let case = mist("mist-disks", 500);
+    let sized = Settings { point_size_px: 5.0.into(), ..Settings::drawn_as(Reconstruct::Points) };
+    for settings in [sized, splats::splats(Filter::Perspective)] {
+        let frames = case.draw_with(&view(), Settings { shadows: Shadows::Off, ..settings });
+        let twin = if settings.has_point_size() {
+            let scene = OracleScene { discs: settings.discs(), ..case.reference.scene() };
+            oracle::render(&scene, &view(), 1)
+        } else {
+            splats::oracle(&case, &view(), settings)
+        };
+        let psnr = metrics::psnr(&twin.to_rgba8(), &frames.color).unwrap();
+        println!("{psnr:.1} dB, {:?}", frames.receipt.translucent);
+        if psnr < 45.0 {
+            splats::save_both(&case, &view(), twin.to_rgba8(), frames.color.clone());
+            panic!("{psnr:.1} dB: {settings:?}");
+        }
+        assert!(frames.ran(Pass::ProjectSplatsLayers) && frames.ran(Pass::WalkSplatsLayers));
+        assert!(!frames.ran(Pass::ProjectSamplesLayers));
+    }
+}
+
+/// Tubes and ribbons among panes. Where segments of a tube meet, they lie over each other and count once; where strands cross, each counts.
+#[test]
+fn lines_among_panes() {
+    let strands = lines::scattered(10, [0.05, 0.12], 5);
+    let normals = vec![DVec3::Z; strands.iter().flatten().count()];
+    let mut glb = Glb::new();
+    let material = glb.material(glass([0.9, 0.2, 0.1, 0.4]));
+    let mesh = glb.mesh(&pane(DVec3::ZERO, 25.0), Some(material));
+    glb.node(mesh, json!({}));
+    let glb = glb.finish();
+    for (name, plain) in [
+        ("smoke-tubes", lines::vtk(&strands)),
+        ("smoke-ribbons", lines::ribbons(&strands, &normals)),
+    ] {
+        let file = lines::with_alpha(plain, 0.5);
+        let scene = json!({ "assets": { "m": { "file": "m.glb" }, "l": { "file": "l.vtk" } },
+            "nodes": [{ "asset": "m" }, { "asset": "l" }] });
+        let case = Case::new(name, &[("m.glb", glb.clone()), ("l.vtk", file)], &scene);
+        let points = Settings::drawn_as(Reconstruct::Points);
+        let frames = case.draw_with(&view(), Settings { shadows: Shadows::Off, ..points });
+        let exact = case.reference.frame(&view(), 1).to_rgba8();
+        let psnr = metrics::psnr(&exact, &frames.color).unwrap();
+        println!("{name}: {psnr:.1} dB, {:?}", frames.receipt.translucent);
+        if psnr < 45.0 {
+            splats::save_both(&case, &view(), exact, frames.color.clone());
+            panic!("{name}: {psnr:.1} dB");
+        }
+        assert!(frames.ran(Pass::ProjectLinesLayers) && frames.ran(Pass::ResolveLinesLayers));
+        let tree = case.draw_wide(&view(), Settings { lod: Lod::Spt, ..points });
+        assert!(tree.receipt.settings.full_because.is_some(), "levels of detail lack alpha");
+    }
+}
+
+/// Nodes of opaque points and lines with translucent colours, beside opaque nodes of the same files.
+#[test]
+fn nodes_of_points_and_lines_with_translucent_colors() {
+    let cloud = Shape::cloud(1500, [-0.7; 3], [0.7; 3], 23).without_normals();
+    let tubes = lines::vtk(&lines::scattered(6, [0.05, 0.12], 8));
+    let scene = json!({
+        "assets": { "c": { "file": "c.ply" }, "l": { "file": "l.vtk" } },
+        "materials": { "glass": { "color": "#80c0ff80" }, "gone": { "color": "#ff000000" } },
+        "nodes": [
+            { "asset": "c", "material": "glass" },
+            { "asset": "c", "translate": [0.5, 0.2, -0.4] },
+            { "asset": "l", "material": "glass", "scale": 0.7 },
+            { "asset": "l", "translate": [-0.4, 0.1, -0.3], "scale": 0.6 },
+            { "asset": "c", "material": "gone", "scale": 1.2 },
+            { "asset": "l", "material": "gone" },
+        ]
+    });
+    let case = Case::new("node-alpha-points", &[("c.ply", cloud.ply()), ("l.vtk", tubes)], &scene);
+    let points = Settings::drawn_as(Reconstruct::Points);
+    let frames = case.draw_with(&view(), Settings { shadows: Shadows::Off, ..points });
+    let exact = case.reference.frame(&view(), 1);
+    let psnr = metrics::psnr(&exact.to_rgba8(), &frames.color).unwrap();
+    println!("{psnr:.1} dB, {:?}", frames.receipt.translucent);
+    if psnr < 45.0 {
+        splats::save_both(&case, &view(), exact.to_rgba8(), frames.color.clone());
+        panic!("{psnr:.1} dB");
+    }
+    for pass in [Pass::ResolveSamples, Pass::ResolveLines, Pass::ResolveSamplesLayers] {
+        assert!(frames.ran(pass), "{pass:?}");
+    }
+    assert!(frames.ran(Pass::ResolveLinesLayers) && !frames.ran(Pass::ResolveTrianglesLayers));
+    // Nodes without alpha are in no output.
+    assert!([1, 2, 3, 4].iter().all(|id| frames.id.contains(id)));
+    assert!([5, 6].iter().all(|id| !frames.id.contains(id) && !exact.id.contains(id)));
+}
+
+/// A line far thinner than a pixel dims what is behind it by its alpha times its width, in every pixel that it crosses.
+#[test]
+fn thin_lines_cover_by_their_width() {
+    let place = |x: f64| (DVec3::new(x, 0.013, 0.0), 0.004, [0; 3]);
+    let file = lines::with_alpha(lines::vtk(&[vec![place(-1.0), place(1.0)]]), 0.5);
+    let scene = json!({ "assets": { "l": { "file": "l.vtk" } }, "nodes": [{ "asset": "l" }],
+        "lights": [], "background": "#ffffff" });
+    let case = Case::new("thin-smoke", &[("l.vtk", file)], &scene);
+    let view = look([0.0, 0.0, 4.0], [0.0; 3], 45.0);
+    let frames = case.draw_with(&view, Settings::drawn_as(Reconstruct::Points));
+    // Its width in pixels: 120 pixels show 2 · 4 · tan(22.5°) units.
+    let width_px = 0.008 * 120.0 / (8.0 * 22.5f64.to_radians().tan());
+    let expected = pointillist::scene::color::srgb_from_linear(1.0 - 0.5 * width_px) * 255.0;
+    for x in [60, 80, 100] {
+        let darkest = (0..120).map(|y| frames.color[y * 160 + x][0]).min().unwrap();
+        assert!((f64::from(darkest) - expected).abs() < 2.0, "{darkest} at {x}, not {expected}");
+    }
 }
 
 /// Parts of pixels are composited before they are averaged, as the reference does it.

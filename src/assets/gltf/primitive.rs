@@ -12,7 +12,7 @@ use ::gltf::json::{Index, Root, accessor, mesh};
 use glam::{DVec3, Vec2, Vec3};
 
 use super::super::tidy::{self, srgb_byte_from_linear};
-use super::super::{AssetError, Geometry, Mesh, MeshPart, PointCloud, ReadOptions};
+use super::super::{AssetError, Geometry, Material, Mesh, MeshPart, PointCloud, ReadOptions};
 use super::buffers::Buffers;
 use super::material::{Materials, TexturePlacement};
 
@@ -199,15 +199,12 @@ impl<'a> Primitives<'a> {
             self.warnings.push(format!("{place}: is empty and left out"));
             return Ok(None);
         }
-        let tint = material.and_then(|(number, _)| {
-            let [r, g, b, _] = materials.materials.get(number as usize)?.base_color;
-            Some([r, g, b])
-        });
+        let own = material.and_then(|(number, _)| materials.materials.get(number as usize));
         if mode == Mode::Points {
-            return self.points(attributes, primitive.indices.is_some(), indices, tint, place);
+            return self.points(attributes, primitive.indices.is_some(), indices, own, place);
         }
         if matches!(mode, Mode::Lines | Mode::LineLoop | Mode::LineStrip) {
-            return self.lines(primitive, mode, &attributes, &indices, tint, place);
+            return self.lines(primitive, mode, &attributes, &indices, own, place);
         }
         let triangles = self.triangles(mode, &indices, place)?;
         let number = material.map(|(number, _)| match &attributes.uvs {
@@ -319,26 +316,25 @@ impl<'a> Primitives<'a> {
         Ok(Attributes { positions, normals, uvs, colors })
     }
 
-    /// `tint`: base colour of the material.
     fn points(
         &mut self,
         attributes: Rc<Attributes>,
         indexed: bool,
         indices: Vec<u32>,
-        tint: Option<[f32; 3]>,
+        material: Option<&Material>,
         place: &str,
     ) -> Result<Option<Geometry>, AssetError> {
         self.keep(indices.len(), 0, place)?;
         let attributes =
             if indexed { attributes.picked(&indices) } else { Rc::unwrap_or_clone(attributes) };
         let count = attributes.positions.len();
-        let colors = match tint {
-            Some(tint) => {
-                let own = attributes.colors.unwrap_or_else(|| vec![[255; 4]; count]);
-                Some(own.into_iter().map(|color| tinted(color, tint)).collect())
-            }
-            None => attributes.colors,
+        let default = Material::default();
+        let own = match (attributes.colors, material) {
+            (None, Some(_)) => Some(vec![[255; 4]; count]),
+            (own, _) => own,
         };
+        let material = material.unwrap_or(&default);
+        let colors = own.map(|own| own.into_iter().map(|color| painted(color, material)).collect());
         let cloud = PointCloud {
             positions: attributes.positions,
             colors,
@@ -422,6 +418,19 @@ impl Attributes {
             colors: self.colors.as_ref().map(|values| pick(values, indices)),
         }
     }
+}
+
+/// The colour of a vertex of points or lines of a material. Alpha counts where the material blends or has a cut-off.
+fn painted(color: [u8; 4], material: &Material) -> [u8; 4] {
+    let [red, green, blue, factor] = material.base_color;
+    let [r, g, b, own] = tinted(color, [red, green, blue]);
+    let alpha = f32::from(own) / 255.0 * factor;
+    let byte = match material.alpha_cutoff {
+        _ if material.blends() => (alpha * 255.0).round() as u8,
+        Some(cutoff) if alpha < cutoff => 0,
+        _ => 255,
+    };
+    [r, g, b, byte]
 }
 
 /// The colour of a vertex, times a linear factor.

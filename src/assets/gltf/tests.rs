@@ -1,4 +1,5 @@
 mod accessors;
+mod alpha;
 mod nodes;
 
 use glam::{DVec3, Vec2};

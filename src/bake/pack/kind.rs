@@ -189,7 +189,7 @@ pub struct PageKind {
     pub value_words: u8,
     /// Lines are ribbons.
     pub ribbons: bool,
-    /// Surfaces behind the triangles show through.
+    /// Surfaces behind all of its triangles, or behind some of its samples or segments, show through.
     pub translucent: bool,
 }
 

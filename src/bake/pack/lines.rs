@@ -285,6 +285,7 @@ impl PackedKind for PackedLines {
         // The lines of a geometry are all ribbons or all tubes.
         let first = self.vertices[chunk.vertices()].first();
         PageKind {
+            translucent: chunk.translucent,
             ribbons: first.is_some_and(|words| words[5] != NO_NORMAL),
             value_words: value_words(&self.fields) as u8,
             ..PageKind::plain(GeometryKind::Lines)

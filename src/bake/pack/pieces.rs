@@ -90,10 +90,11 @@ impl<'a> Packing<'a> {
                         clip: None,
                     }
                 };
-                let samples = run.iter().zip(first..).map(sample).collect();
+                let samples: Vec<Sample> = run.iter().zip(first..).map(sample).collect();
+                let translucent = samples.iter().any(Sample::is_translucent);
                 let packed = pack_run(&grid, samples, false, cloud.oriented);
                 let chunk = packed.put(positions, attributes, kernels);
-                (PackedChunk { first: first as u32, ..chunk }, longest)
+                (PackedChunk { first: first as u32, translucent, ..chunk }, longest)
             })
             .collect();
         for (chunk, longest) in filled {

@@ -50,7 +50,7 @@ pub struct PackedSamples {
     pub chunks: Vec<PackedChunk>,
     /// 21 bits a coordinate, relative to the chunk, x lowest.
     pub positions: Vec<[u32; 2]>,
-    /// sRGB8 colour and octahedral normal.
+    /// sRGB8 colour with alpha, and octahedral normal.
     pub attributes: Vec<[u32; 2]>,
     /// For each sample: logarithms of the axes' lengths, 11 bits each, and an angle.
     pub kernels: Vec<u32>,
@@ -97,8 +97,11 @@ pub fn pack_samples(cloud: &PointCloud) -> Result<PackedSamples, PackError> {
     let (attributes, clipped_attributes) = out.attributes.split_at_mut(clipped_first);
     let (kernels, clipped_kernels) = out.kernels.split_at_mut(clipped_first);
     let pack = |run: &[u32], clipped| {
-        let samples = run.iter().map(|&i| Sample::of(cloud, &grid, i as usize)).collect();
-        pack_run(&grid, samples, clipped, cloud.oriented)
+        let samples: Vec<Sample> =
+            run.iter().map(|&i| Sample::of(cloud, &grid, i as usize)).collect();
+        let translucent = samples.iter().any(Sample::is_translucent);
+        let packed = pack_run(&grid, samples, clipped, cloud.oriented);
+        PackedRun { chunk: PackedChunk { translucent, ..packed.chunk }, ..packed }
     };
     let mut chunks: Vec<PackedChunk> = plain
         .par_chunks(CHUNK)
@@ -194,6 +197,11 @@ impl<'a> Sample<'a> {
             shape: Shape::Ellipse(kernel),
             clip: cloud.clips.as_ref().map(|clips| &clips[index]),
         }
+    }
+
+    /// Whether something shows through it. The alpha of a node of a point tree says something else.
+    pub(super) fn is_translucent(&self) -> bool {
+        self.color[3] < 255
     }
 }
 
@@ -409,6 +417,7 @@ impl PackedKind for PackedSamples {
         PageKind {
             nodes: !self.nodes.is_empty(),
             clipped: chunk.first >= self.clipped_first(),
+            translucent: chunk.translucent,
             value_words: value_words(&self.fields) as u8,
             ..PageKind::plain(GeometryKind::Samples)
         }

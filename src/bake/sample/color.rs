@@ -127,10 +127,9 @@ impl<'a> Colors<'a> {
                 return None;
             }
         }
-        let [r, g, b, a] = color.to_array();
-        let byte = |unit: f32| (unit.clamp(0.0, 1.0) * 255.0).round() as u8;
+        let [r, g, b, _] = color.to_array();
         let [r, g, b] = [r, g, b].map(srgb_byte_from_linear);
-        Some([r, g, b, byte(a)])
+        Some([r, g, b, 255])
     }
 }
 

@@ -1,14 +1,14 @@
-//! Visibility of splats; large ones are listed.
+//! Visibility of splats, or the layers of translucent ones; large ones are listed.
 
 use crate::gpu::shader::ShaderError;
 use crate::passes::recorder::{Call, Recorder};
-use crate::passes::samples::{is_clipped, is_tree, node_constants, splat_constants};
+use crate::passes::samples::{is_clipped, is_tree, sort_constants, visible_constants};
 use crate::passes::shaders::Choices;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let segment = recorder.segment;
-    let mut constants = splat_constants(&recorder.task.reconstruction, false);
-    constants.extend(node_constants(recorder, segment));
+    let mut constants = visible_constants(recorder, false);
+    constants.extend(sort_constants(recorder, segment));
     constants.push(recorder.lanes());
     recorder.compute(Call {
         choices: Choices {

@@ -1,16 +1,17 @@
-//! Listed segments.
+//! Listed segments, or their layers.
 
 use super::{band_constant, walk};
 use crate::gpu::shader::ShaderError;
-use crate::passes::lines::line_constant;
+use crate::passes::lines::line_constants;
 use crate::passes::recorder::{Call, Recorder};
 use crate::passes::shaders::Choices;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
-    let ribbons = line_constant(recorder, recorder.segment);
+    let mut constants = line_constants(recorder, recorder.segment);
+    constants.push(band_constant(recorder));
     recorder.compute(Call {
         choices: Choices { visibility: recorder.visibility(), ..Choices::default() },
-        constants: vec![band_constant(recorder), ribbons],
+        constants,
         segments: &[recorder.segment],
         launch: walk(recorder),
     })

@@ -23,7 +23,9 @@ use super::frame::output_number;
 use super::pipelines::Constants;
 use super::project::{band_constant, walk};
 use super::recorder::{Call, Launch, Recorder};
-use super::samples::{is_clipped, is_tree, node_constants, paint_constants, splat_constants};
+use super::samples::{
+    is_clipped, is_tree, node_constants, paint_constants, sort_constants, splat_constants,
+};
 use super::shaders::Choices;
 use super::spread::sort_workers;
 use crate::gpu::shader::ShaderError;
@@ -44,6 +46,7 @@ pub fn is_lit(recorder: &Recorder) -> bool {
 pub fn scatter(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let mut constants = constants(recorder, false);
     constants.push(recorder.lanes());
+    constants.extend(sort_constants(recorder, recorder.segment));
     // Blended are all that the visible surface was looked for among.
     let choices = Choices { portion: recorder.portion(), ..choices(recorder) };
     let (segments, launch) = (&[recorder.segment], recorder.launch());

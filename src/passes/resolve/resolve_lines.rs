@@ -1,9 +1,9 @@
-//! Pixels that show a line.
+//! Pixels that show a line, or the layers of translucent lines before them.
 
 use super::{choices, constants, light_constants, tiles};
 use crate::bake::pack::GeometryKind;
 use crate::gpu::shader::ShaderError;
-use crate::passes::lines::line_constant;
+use crate::passes::lines::line_constants;
 use crate::passes::recorder::{Call, Recorder};
 use crate::passes::shaders::Choices;
 
@@ -17,7 +17,7 @@ pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     for segment in segments {
         recorder.compute(Call {
             choices: Choices { fields: recorder.task.shows_field(), ..choices(recorder) },
-            constants: [constants.clone(), vec![line_constant(recorder, segment)]].concat(),
+            constants: [constants.clone(), line_constants(recorder, segment)].concat(),
             segments: &[segment],
             launch: tiles(recorder),
         })?;

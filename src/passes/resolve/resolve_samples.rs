@@ -1,4 +1,4 @@
-//! Pixels that show a sample.
+//! Pixels that show a sample, or the layers of translucent samples before them.
 
 use super::{choices, constants, tiles};
 use crate::bake::pack::GeometryKind;

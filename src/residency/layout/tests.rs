@@ -39,7 +39,7 @@ fn records_match_the_shaders() {
                 axis_y,
                 id,
                 axis_z,
-                mirrored,
+                flags,
                 inverse_x,
                 reach,
                 inverse_y,

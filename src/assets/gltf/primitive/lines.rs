@@ -8,21 +8,20 @@ use crate::assets::strands::{self, Paint, Strands, Vertex};
 const RADIUS: &str = "RADIUS";
 
 impl Primitives<'_> {
-    /// `tint`: base colour of the material.
     pub(super) fn lines(
         &mut self,
         primitive: &Primitive,
         mode: Mode,
         attributes: &Attributes,
         indices: &[u32],
-        tint: Option<[f32; 3]>,
+        material: Option<&Material>,
         place: &str,
     ) -> Result<Option<Geometry>, AssetError> {
         let radii = self.radii(primitive, attributes.positions.len(), place)?;
         // A loop ends at its first vertex, and every segment may be a strand.
         let count = indices.len() + 1;
         self.keep(count, 0, place)?;
-        let has_colors = attributes.colors.is_some() || tint.is_some();
+        let has_colors = attributes.colors.is_some() || material.is_some();
         let described = strands::Attributes {
             radii: radii.is_some(),
             paint: if has_colors { Paint::Bytes } else { Paint::Nothing },
@@ -31,12 +30,15 @@ impl Primitives<'_> {
         let file = format!("{}: {place}", self.file);
         let admission = self.buffers.admission.clone();
         let mut strands = Strands::within(&file, &admission, count as u64, described);
+        let default = Material::default();
         let add = |strands: &mut Strands, index: u32| {
             let at = index as usize;
             let own = attributes.colors.as_ref().and_then(|colors| colors.get(at).copied());
-            let color = match tint {
-                Some(tint) => Some(tinted(own.unwrap_or([255; 4]), tint)),
-                None => own,
+            let color = match (own, material) {
+                (None, None) => None,
+                (own, material) => {
+                    Some(painted(own.unwrap_or([255; 4]), material.unwrap_or(&default)))
+                }
             };
             strands.vertex(Vertex {
                 position: attributes.positions.get(at).copied().unwrap_or(DVec3::NAN),

@@ -209,3 +209,19 @@ fn nothing_and_single_points_are_packed() {
     assert_eq!(packed.chunks[0].extent, IVec3::ZERO);
     assert!(packed.corner_radius() >= 2.0 * (1.0 - 1e-6));
 }
+
+#[test]
+fn chunks_with_alpha_stand_on_pages_of_their_own() {
+    let mut lines = many(100, 101);
+    let is_opaque = |packed: &PackedLines| packed.chunks.iter().all(|chunk| !chunk.translucent);
+    assert!(is_opaque(&pack_lines(&lines).unwrap()));
+    lines.colors.as_mut().unwrap()[50][3] = 100;
+    let packed = pack_lines(&lines).unwrap();
+    let (with, without): (Vec<&PackedChunk>, Vec<&PackedChunk>) =
+        packed.chunks.iter().partition(|chunk| packed.page(chunk).translucent);
+    assert!(!with.is_empty() && !without.is_empty());
+    let has_alpha = |chunk: &&PackedChunk| {
+        packed.vertices[chunk.vertices()].iter().any(|words| words[3] >> 24 < 255)
+    };
+    assert!(with.iter().all(has_alpha) && !without.iter().any(has_alpha));
+}

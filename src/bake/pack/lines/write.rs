@@ -56,7 +56,12 @@ pub fn pack_lines(lines: &Polylines) -> Result<PackedLines, PackError> {
     let mut packer = LinePacker::new(grid, lines.strands.clone(), pack_fields(&lines.fields));
     let always = NodeRange { error_parent: ALWAYS, size_parent: ALWAYS, ..NodeRange::default() };
     packer.add(always, lines.positions.len(), &order, words, values, segment);
-    Ok(packer.finished())
+    let mut packed = packer.finished();
+    let vertices = &packed.vertices;
+    for chunk in &mut packed.chunks {
+        chunk.translucent = vertices[chunk.vertices()].iter().any(|words| words[3] >> 24 < 255);
+    }
+    Ok(packed)
 }
 
 /// Returns the first word of a segment without its indices. `part` counts the segments before it that have the same number.

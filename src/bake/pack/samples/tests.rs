@@ -52,3 +52,19 @@ fn packing_again_gives_the_same_words() {
     }));
     assert!(a.iter().any(|clip| clip.either));
 }
+
+#[test]
+fn chunks_with_alpha_stand_on_pages_of_their_own() {
+    let positions = (0..8 * CHUNK).map(|i| DVec3::X * i as f64).collect();
+    let alpha = |i: usize| if (2 * CHUNK..3 * CHUNK).contains(&i) { 100 } else { 255 };
+    let colors = (0..8 * CHUNK).map(|i| [1, 2, 3, alpha(i)]).collect();
+    let cloud = PointCloud { positions, colors: Some(colors), ..PointCloud::default() };
+    let packed = pack_samples(&cloud).unwrap();
+    for chunk in &packed.chunks {
+        let mut colors = packed.attributes[chunk.elements()].iter().map(|[color, _]| color);
+        let has_alpha = colors.any(|color| color >> 24 < 255);
+        assert_eq!((chunk.translucent, packed.page(chunk).translucent), (has_alpha, has_alpha));
+    }
+    let translucent = packed.chunks.iter().filter(|chunk| chunk.translucent).count();
+    assert!((1..=3).contains(&translucent), "{translucent} of {}", packed.chunks.len());
+}

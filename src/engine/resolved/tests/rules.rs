@@ -56,7 +56,7 @@ impl Ground {
             occlusion: some(),
             sparse_lines: some(),
             trees: false,
-            translucent: triangles > 0 && some(),
+            translucent: [samples > 0 && some(), triangles > 0 && some(), segments > 0 && some()],
             translucent_nodes: false,
             looks: Looks::default(),
         };
