@@ -14,7 +14,7 @@ use super::{
     ResidentGeometry, ResidentScene, SceneMaterials, TEXEL_PAGES,
 };
 use crate::assets::{Encoding, Material};
-use crate::bake::pack::{GeometryKind, PackedChunk, PackedGeometry, Sides};
+use crate::bake::pack::{PackedChunk, PackedGeometry, Sides};
 use crate::bake::tree::SORTED;
 use crate::gpu::Gpu;
 use crate::gpu::buffer::Buffer;
