@@ -3,10 +3,11 @@
 //! The header is read and checked against the file's length here ([`header`]) before anything is
 //! allocated for it; point records are decoded from bytes ([`record`]). LAZ goes chunk by chunk
 //! through the `laz` crate ([`compressed`]), several chunks at a time, each bounded by the chunk
-//! table. The `las` crate's own reader sits above that crate, but trusts the number of variable
-//! length records, the chunk table and the layer sizes, so that a few damaged bytes make it
-//! allocate gigabytes; it serves the tests as the independent writer. A COPC file is read as the LAZ
-//! file that it is: all levels of its octree together are the cloud.
+//! table; items with GPS times have decoders here ([`gps_time`], [`point14`]). The `las` crate's own
+//! reader sits above the `laz` crate, but trusts the number of variable length records, the chunk
+//! table and the layer sizes, so that a few damaged bytes make it allocate gigabytes; it serves the
+//! tests as the independent writer. A COPC file is read as the LAZ file that it is: all levels of its
+//! octree together are the cloud.
 //!
 //! Colours may be 8-bit values in 16-bit fields, 8-bit values in their high bytes, or true 16-bit
 //! values: what the whole file holds decides, and all zero means no colour. Withheld points are
@@ -14,7 +15,9 @@
 
 mod compressed;
 mod extra;
+mod gps_time;
 mod header;
+mod point14;
 mod record;
 
 use std::fs::File;

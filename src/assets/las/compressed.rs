@@ -1,8 +1,10 @@
 //! LAZ point data: chunk table, chunks in parallel, and the stream without a table.
 //!
-//! The decoder is the `laz` crate's. It believes sizes that it finds, so each is checked first: the
-//! number of chunks, their bytes and points, and for layered chunks (formats 6 to 10) the sizes of
-//! the layers. It is also called where a panic of its stays inside, and becomes an error.
+//! The decoder is the `laz` crate's, but for the items with GPS times, whose decoders in that crate
+//! recurse without a bound ([`super::gps_time`], [`super::point14`]). The crate believes sizes that it
+//! finds, so each is checked first: the number of chunks, their bytes and points, and for layered
+//! chunks (formats 6 to 10) the sizes of the layers. It is also called where a panic of its stays
+//! inside, and becomes an error.
 
 use std::io::{Cursor, Read, Seek, SeekFrom};
 
@@ -13,7 +15,9 @@ use laz::record::{
 use laz::{LazItem, LazItemType, LazVlr};
 use rayon::prelude::*;
 
+use super::gps_time::GpsTimes;
 use super::header::Header;
+use super::point14::{self, Point14};
 use super::record::{Columns, Layout};
 use super::{AssetError, ReadOptions, Visit, io_error, malformed};
 use crate::assets::points::unsupported;
@@ -256,17 +260,48 @@ fn decompress_chunk(
     let mut decoder: Box<dyn RecordDecompressor<Cursor<&[u8]>>> =
         if scheme.arrangement == Arrangement::Layered {
             check_layers(bytes, items, header.record_bytes)?;
-            Box::new(LayeredPointRecordDecompressor::new(Cursor::new(bytes)))
+            let mut decoder = LayeredPointRecordDecompressor::new(Cursor::new(bytes));
+            add_layered(&mut decoder, items)?;
+            Box::new(decoder)
         } else {
-            Box::new(SequentialPointRecordDecompressor::new(Cursor::new(bytes)))
+            let mut decoder = SequentialPointRecordDecompressor::new(Cursor::new(bytes));
+            add_sequential(&mut decoder, items)?;
+            Box::new(decoder)
         };
-    decoder.set_fields_from(items).map_err(|error| error.to_string())?;
     decompress_points(&mut *decoder, points, header, |records| {
         columns.try_reserve(records.len() / header.record_bytes, layout)?;
         columns.extend(records, layout);
         Ok(())
     })?;
     Ok(columns)
+}
+
+/// Adds the items' decoders; that of [`GpsTimes`] replaces the crate's.
+fn add_sequential<R: Read>(
+    decoder: &mut SequentialPointRecordDecompressor<'_, R>,
+    items: &[LazItem],
+) -> Result<(), String> {
+    for &item in items {
+        match (item.item_type(), item.version()) {
+            (LazItemType::GpsTime, 2) => decoder.add_field_decompressor(GpsTimes::of_item()),
+            _ => decoder.set_fields_from(&vec![item]).map_err(|error| error.to_string())?,
+        }
+    }
+    Ok(())
+}
+
+/// Adds the items' decoders; that of [`Point14`] replaces the crate's.
+fn add_layered<R: Read + Seek>(
+    decoder: &mut LayeredPointRecordDecompressor<'_, R>,
+    items: &[LazItem],
+) -> Result<(), String> {
+    for &item in items {
+        match item.item_type() {
+            LazItemType::Point14 => decoder.add_field_decompressor(Point14::new(item.version())),
+            _ => decoder.set_fields_from(&vec![item]).map_err(|error| error.to_string())?,
+        }
+    }
+    Ok(())
 }
 
 /// Gives the records of `points` points to `take`, some at a time; memory grows only with what is really decompressed.
@@ -299,7 +334,7 @@ fn decompress_points<R>(
 /// points stand the layers' sizes, item by item.
 fn check_layers(bytes: &[u8], items: &[LazItem], record_bytes: usize) -> Result<(), String> {
     let layers = |item: &LazItem| match item.item_type() {
-        LazItemType::Point14 => 9,
+        LazItemType::Point14 => point14::LAYERS,
         LazItemType::RGBNIR14 => 2,
         LazItemType::Byte14(count) => usize::from(count),
         _ => 1,
@@ -332,7 +367,7 @@ fn read_stream<R: Read>(
         let mut decoder = SequentialPointRecordDecompressor::new(reader);
         let mut left = header.points;
         while left > 0 {
-            decoder.set_fields_from(scheme.vlr.items()).map_err(|error| error.to_string())?;
+            add_sequential(&mut decoder, scheme.vlr.items())?;
             let points = chunk_points.min(left);
             decompress_points(&mut decoder, points, header, |records| {
                 let mut part = Columns::default();
@@ -360,3 +395,6 @@ fn read_stream<R: Read>(
 fn guarded<T>(decode: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
     quiet::catch(decode).unwrap_or_else(|| Err("is damaged: the decoder gave up".to_owned()))
 }
+
+#[cfg(test)]
+mod tests;
