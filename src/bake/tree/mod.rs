@@ -71,7 +71,7 @@ use crate::math::Bounds;
 /// Version of the trees that are built from an asset: part of the key that trees are cached by. Raise it whenever the trees of
 /// some asset change, wherever the change is: in this folder, [`super::hybrid`], [`super::line_levels`],
 /// `bake/rasterise.rs` or [`super::pack`].
-pub const BAKING_VERSION: u32 = 18;
+pub const BAKING_VERSION: u32 = 19;
 /// Hash of the trees that this version bakes from the assets of `tree/version.rs`. Its test fails if the trees change and the
 /// version does not.
 #[cfg(test)]
