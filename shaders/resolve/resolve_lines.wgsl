@@ -91,13 +91,14 @@ fn line_lights(albedo: vec3<f32>, material: Material, direction: vec3<f32>, plac
     return color;
 }
 
-// Neighbouring segments of a tube lie over each other where they meet. How far apart they may seem there, as a factor of the radius and as a share
-// of the distance.
+// Segments of a tube lie over each other where they meet, and where they are shorter than the tube is wide. How far apart they may seem there, as a
+// factor of the radius and as a share of the distance, and how many vertices of the file lie at most between them.
 const JOINT: f32 = 1.1;
 const JOINT_SLACK: f32 = 4e-6;
+const JOINT_REACH: u32 = 64u;
 
-// Whether a place on a segment lies within the segment beside it on its strand, which the word of the layer before shows: the tube counts once.
-fn is_joint(before: vec2<u32>, own: Line, instance: u32, place: vec3<f32>) -> bool {
+// Whether a place on a segment lies within another segment of its strand, which the word of a layer before shows.
+fn is_in_strand(before: vec2<u32>, own: Line, instance: u32, place: vec3<f32>) -> bool {
     let run = runs[frame.first_run + segment.index];
     let index = slot_of(before);
     if before.y == 0u || index - run.first_slot >= run.count {
@@ -107,7 +108,7 @@ fn is_joint(before: vec2<u32>, own: Line, instance: u32, place: vec3<f32>) -> bo
     let chunk = slots[slot].chunk;
     let element = chunks[chunk].first + (~before.x & SLOT_MASK);
     let number = line_segments[element].y;
-    if slots[slot].instance != instance || max(number, own.number) - min(number, own.number) != 1u {
+    if slots[slot].instance != instance || max(number, own.number) - min(number, own.number) > JOINT_REACH {
         return false;
     }
     let at = placed[frame.first_instance + instance];
@@ -116,6 +117,15 @@ fn is_joint(before: vec2<u32>, own: Line, instance: u32, place: vec3<f32>) -> bo
     let foot = clamp(dot(from_a, line.ab) / max(dot(line.ab, line.ab), 1e-37), 0.0, 1.0);
     let radius = mix(line.radius.x, line.radius.y, foot);
     return length(from_a - line.ab * foot) <= JOINT * radius + JOINT_SLACK * length(place);
+}
+
+// Whether a pixel's ray is within the strand already where it meets a segment: a strand hides once between where a ray enters and leaves it.
+fn is_joint(pixel: u32, own: Line, instance: u32, place: vec3<f32>) -> bool {
+    var found = false;
+    for (var layer = 0u; layer < MOST_BEFORE; layer++) {
+        found = found || is_in_strand(word_before(layer, pixel), own, instance, place);
+    }
+    return found;
 }
 
 fn resolve(column: Column) {
@@ -146,7 +156,7 @@ fn resolve(column: Column) {
         share = ribbon_share(seen.line, hit.triangle, ray);
     }
     share = mix(seen.line.range.x, seen.line.range.y, share);
-    if !RIBBONS && is_joint(word_before(column.pixel), seen.line, instance, on_ray(ray, 1.0 / surface.inverse_depth)) {
+    if !RIBBONS && is_joint(column.pixel, seen.line, instance, on_ray(ray, 1.0 / surface.inverse_depth)) {
         return;
     }
     let way = world_from_camera(towards(ray));

@@ -13,10 +13,12 @@ fn high_word(pixel: u32) -> u32 {
     return fragments[place_in(window.layer, pixel)].y;
 }
 
-// The word of a pixel of the window in the layer before, if there is one.
-fn word_before(pixel: u32) -> vec2<u32> {
-    let word = fragments[place_in(max(window.layer, 1u) - 1u, pixel)];
-    return select(vec2<u32>(0u), word, window.layer > 0u);
+// Most layers before another one.
+const MOST_BEFORE: u32 = LAYERS - 1u;
+
+// The word of a pixel of the window in a layer, if that is before this one.
+fn word_before(layer: u32, pixel: u32) -> vec2<u32> {
+    return select(vec2<u32>(0u), fragments[place_in(layer, pixel)], layer < window.layer);
 }
 
 // Whether any of these pixels may have a word: the pixel behind the last one is not among them. No pixel has a fragment in this layer if none

@@ -8,8 +8,10 @@ fn high_word(pixel: u32) -> u32 {
     return visibility[pixel].y;
 }
 
-// The word of the layer before; there is none.
-fn word_before(pixel: u32) -> vec2<u32> {
+// There are no layers.
+const MOST_BEFORE: u32 = 0u;
+
+fn word_before(layer: u32, pixel: u32) -> vec2<u32> {
     return vec2<u32>(0u);
 }
 

@@ -190,8 +190,8 @@ impl Scan {
                 let reason = format!("has {count} columns, expected 4 or 7");
                 return Err(malformed(rows.name, place, reason));
             }
+            admit(scan.bytes_with(count))?;
             scan.push(&values[..count]);
-            admit(scan.bytes())?;
         }
         // Positions behind the last one with an intensity, or a colour, have none.
         if !scan.intensities.is_empty() {
@@ -200,15 +200,15 @@ impl Scan {
         if !scan.rgb.is_empty() {
             scan.rgb.resize(scan.positions.len(), [f32::NAN; 3]);
         }
-        admit(scan.bytes())?;
         Ok(scan)
     }
 
-    /// Bytes of what is kept.
-    fn bytes(&self) -> u64 {
-        24 * self.positions.len() as u64
-            + 4 * self.intensities.len() as u64
-            + 12 * self.rgb.len() as u64
+    /// Bytes of what is kept once another row of so many numbers is: the first intensity, and the first colour, bring those of all positions.
+    fn bytes_with(&self, columns: usize) -> u64 {
+        let intensity =
+            if self.intensities.is_empty() && !matches!(columns, 4 | 7) { 0 } else { 4 };
+        let color = if self.rgb.is_empty() && columns < 6 { 0 } else { 12 };
+        (self.positions.len() as u64 + 1) * (24 + intensity + color)
     }
 
     /// Takes a row of 3 (x y z), 4 (and intensity), 6 (and colour) or 7 numbers.

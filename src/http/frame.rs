@@ -88,7 +88,11 @@ pub async fn frame(
             .and_then(|seconds| now.checked_add(Duration::from_secs(seconds)));
     }
 
-    let resolved = resolve(&app, request).await.map_err(|problem| missing(&app, &id, problem))?;
+    // A key that owes time gets what it has already, and starts no work.
+    let check_time =
+        || client.owner().map_or(Ok(()), |key| app.limits.check_device(key, Instant::now()));
+    let resolved = resolve_if(&app, request, check_time);
+    let resolved = resolved.await.map_err(|problem| missing(&app, &id, problem))?;
     app.check_caps(&caps, &resolved)?;
     let etag = resolved.final_etag();
     let tag = match etag {
@@ -105,9 +109,7 @@ pub async fn frame(
         validators(response.headers_mut(), tag, negotiated);
         return Ok(response);
     }
-    if let Some(key) = client.owner() {
-        app.limits.check_device(key, Instant::now())?;
-    }
+    check_time()?;
     if method == Method::HEAD {
         // A body of unknown length, so that the library adds no `Content-Length`.
         let body =
@@ -139,10 +141,20 @@ pub async fn frame(
 /// Resolves a request after the bake that it needs, which may take seconds. After the request's deadline the bake goes on for
 /// [`BAKE_AFTER_DEADLINE`], because the client will try again.
 pub async fn resolve(app: &App, request: FrameRequest) -> Result<Arc<ResolvedFrame>, Problem> {
+    resolve_if(app, request, || Ok(())).await
+}
+
+/// The same, where nothing is baked unless `check` allows it.
+async fn resolve_if(
+    app: &App,
+    request: FrameRequest,
+    check: impl FnOnce() -> Result<(), Problem>,
+) -> Result<Arc<ResolvedFrame>, Problem> {
     let unbaked = match app.engine.resolve(request)? {
         Resolution::Ready(frame) => return Ok(frame),
         Resolution::NeedsBake(unbaked) => unbaked,
     };
+    check()?;
     let Some(deadline) = unbaked.request().deadline else { return Ok(unbaked.bake().await?) };
     let mut frame = Box::pin(unbaked.bake());
     match tokio::time::timeout_at(deadline.into(), &mut frame).await {

@@ -206,14 +206,16 @@ pub fn add<Kept: Send>(
     });
 }
 
-/// How far the places of neighbouring segments may seem apart where they meet, in radii.
+/// How far the places of segments of a strand may seem apart where they meet, in radii.
 const JOINT: f64 = 1.1;
+/// How many vertices lie at most between such segments.
+const JOINT_REACH: u32 = 64;
 
-/// Whether a hit lies within the neighbouring segment that the hit before shows: the two lie over each other there, and the tube counts once.
+/// Whether a hit lies within the segment that a nearer hit shows, on the same strand: a strand hides once between where a ray enters and leaves it.
 pub fn is_joint(prepared: &Prepared<'_>, view: &View, before: &Hit, hit: &Hit, ray: DVec3) -> bool {
     let item = &prepared.items[hit.item as usize];
     let Geometry::Lines(lines) = item.item.geometry else { return false };
-    if before.item != hit.item || before.index.abs_diff(hit.index) != 1 {
+    if before.item != hit.item || before.index.abs_diff(hit.index) > JOINT_REACH {
         return false;
     }
     let seen = Seen::new(item, lines, (view, prepared.scene.least_line_px), before.index);

@@ -165,11 +165,13 @@ pub fn layers(prepared: &Prepared<'_>, view: &View, fineness: u32) -> Vec<Vec<Hi
     layers.par_iter_mut().enumerate().for_each(|(pixel, hits)| {
         hits.sort_by(|a, b| order(prepared, a, b));
         let ray = pixel_ray(view, pixel % width, pixel / width);
-        let mut before = None;
-        hits.retain(|hit| {
-            let last = before.replace(*hit);
-            !last.is_some_and(|last| lines::is_joint(prepared, view, &last, hit, ray))
-        });
+        let is_seen = |(number, hit): (usize, &Hit)| {
+            let before = |nearer: &Hit| lines::is_joint(prepared, view, nearer, hit, ray);
+            !hits[..number].iter().any(before)
+        };
+        let seen: Vec<bool> = hits.iter().enumerate().map(is_seen).collect();
+        let mut seen = seen.into_iter();
+        hits.retain(|_| seen.next().unwrap_or(true));
     });
     layers
 }

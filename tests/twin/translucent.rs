@@ -411,6 +411,30 @@ fn nodes_of_points_and_lines_with_translucent_colors() {
     assert!([5, 6].iter().all(|id| !frames.id.contains(id) && !exact.id.contains(id)));
 }
 
+/// A tube hides once in every pixel, however short its segments are.
+#[test]
+fn tubes_of_short_segments_hide_once() {
+    let place = |at: DVec3| (at, 0.2, [0; 3]);
+    for (name, step, bend) in [("long", 0.4, 0.0), ("short", 0.06, 0.0), ("wave", 0.06, 0.4)] {
+        let count = (2.4 / step) as usize;
+        let along = |i: usize| -1.2 + i as f64 * step;
+        let strand =
+            (0..=count).map(|i| place(DVec3::new(along(i), bend * (2.0 * along(i)).sin(), 0.0)));
+        let file = lines::with_alpha(lines::vtk(&[strand.collect()]), 0.5);
+        let scene = json!({ "assets": { "l": { "file": "l.vtk" } }, "nodes": [{ "asset": "l" }],
+            "lights": [], "background": "#ffffff" });
+        let case = Case::new(&format!("once-{name}"), &[("l.vtk", file)], &scene);
+        let view = look([0.0, 0.0, 4.0], [0.0; 3], 45.0);
+        let frames = case.draw_with(&view, Settings::drawn_as(Reconstruct::Points));
+        // Half of white, in linear light.
+        let half = (pointillist::scene::color::srgb_from_linear(0.5) * 255.0).round() as u8;
+        let crossed = frames.color.iter().filter(|pixel| pixel[0] < 255).count();
+        let once = frames.color.iter().filter(|pixel| pixel[0].abs_diff(half) <= 1).count();
+        println!("{name}: {once} of {crossed} pixels hide half");
+        assert!(crossed > 1000 && crossed - once <= crossed / 200, "{name}: {once} of {crossed}");
+    }
+}
+
 /// A line far thinner than a pixel dims what is behind it by its alpha times its width, in every pixel that it crosses.
 #[test]
 fn thin_lines_cover_by_their_width() {
