@@ -203,6 +203,13 @@ impl Scan {
         Ok(scan)
     }
 
+    /// Bytes of what is kept.
+    fn bytes(&self) -> u64 {
+        24 * self.positions.len() as u64
+            + 4 * self.intensities.len() as u64
+            + 12 * self.rgb.len() as u64
+    }
+
     /// Bytes of what is kept once another row of so many numbers is: the first intensity, and the first colour, bring those of all positions.
     fn bytes_with(&self, columns: usize) -> u64 {
         let intensity =
