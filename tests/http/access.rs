@@ -137,7 +137,7 @@ fn keys_expire_and_have_limits() {
     assert_eq!(refused.problem()["type"], "urn:pointillist:problem:device-quota");
     assert_eq!(refused.status, 429);
     // A frame that the client has costs no time. Any other does.
-    let (own, tree) = (first.header("etag").unwrap(), format!("{big}&lod=spt"));
+    let (own, tree) = (first.header("etag").unwrap(), format!("{big}&lod=spt&color_by=levels"));
     for (path, tag, status) in [(big, own, 304), (big, "\"another\"", 429), (&tree, own, 429)] {
         let headers = [("authorization", "Bearer poor"), ("if-none-match", tag)];
         assert_eq!(client.send("GET", path, &headers, None).status, status);
