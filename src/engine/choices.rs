@@ -66,9 +66,9 @@ pub fn with_detail(
     }
 }
 
-/// What of a scene is translucent that its point trees would show opaque.
+/// Says what of a scene is translucent that its point trees would show opaque.
 fn translucent(facts: &SceneFacts) -> Option<&'static str> {
-    if facts.translucent_nodes {
+    if facts.looks.translucent_overrides.contains(&true) {
         return Some("nodes have translucent colours");
     }
     let kinds = [

@@ -222,7 +222,6 @@ fn facts(model: &SceneModel, bounds: &Bounds) -> SceneFacts {
     let counts = model.counts();
     let size = if bounds.is_empty() { DVec3::ZERO } else { bounds.max - bounds.min };
     let looks = model.looks();
-    let translucent_nodes = looks.translucent_overrides;
     SceneFacts {
         counts,
         has_normals: model.assets.iter().any(|asset| asset.has_normals),
@@ -239,9 +238,8 @@ fn facts(model: &SceneModel, bounds: &Bounds) -> SceneFacts {
         translucent: std::array::from_fn(|number| {
             let has_translucent =
                 |asset: &Arc<AssetModel>| asset.has_translucent(GeometryKind::ALL[number]);
-            translucent_nodes[number] || model.assets.iter().any(has_translucent)
+            looks.translucent_overrides[number] || model.assets.iter().any(has_translucent)
         }),
-        translucent_nodes: translucent_nodes.contains(&true),
         looks,
     }
 }

@@ -57,8 +57,6 @@ pub struct SceneFacts {
     pub trees: bool,
     /// For each kind of geometry, whether some of its elements are translucent.
     pub translucent: [bool; GeometryKind::ALL.len()],
-    /// Some nodes have translucent colours of their own.
-    pub translucent_nodes: bool,
     pub looks: Looks,
 }
 

@@ -57,7 +57,6 @@ impl Ground {
             sparse_lines: some(),
             trees: false,
             translucent: [samples > 0 && some(), triangles > 0 && some(), segments > 0 && some()],
-            translucent_nodes: false,
             looks: Looks::default(),
         };
         let adapter = AdapterFacts {
