@@ -165,13 +165,11 @@ pub fn layers(prepared: &Prepared<'_>, view: &View, fineness: u32) -> Vec<Vec<Hi
     layers.par_iter_mut().enumerate().for_each(|(pixel, hits)| {
         hits.sort_by(|a, b| order(prepared, a, b));
         let ray = pixel_ray(view, pixel % width, pixel / width);
-        let is_seen = |(number, hit): (usize, &Hit)| {
+        let is_seen = |&(number, hit): &(usize, &Hit)| {
             let before = |nearer: &Hit| lines::is_joint(prepared, view, nearer, hit, ray);
             !hits[..number].iter().any(before)
         };
-        let seen: Vec<bool> = hits.iter().enumerate().map(is_seen).collect();
-        let mut seen = seen.into_iter();
-        hits.retain(|_| seen.next().unwrap_or(true));
+        *hits = hits.iter().enumerate().filter(is_seen).map(|(_, hit)| *hit).collect();
     });
     layers
 }
@@ -194,7 +192,7 @@ pub fn band_rows(height: usize) -> usize {
     height.div_ceil(4 * rayon::current_num_threads()).max(1)
 }
 
-/// What the pixels of a view show of samples that are drawn as points, for each of its `fineness` × `fineness` sub-pixels.
+/// Returns what the pixels of a view show of samples that are drawn as points, for each of its `fineness` × `fineness` sub-pixels.
 fn add_points<Kept: Clone + Default + Send + Sync>(
     prepared: &Prepared<'_>,
     view: &View,
