@@ -3,7 +3,7 @@ override SORT: u32 = 0u;
 
 const SORT_OPAQUE: u32 = 1u;
 const SORT_TRANSLUCENT: u32 = 2u;
-// What has no alpha at all is not there, whatever the output.
+// Elements without any alpha are not there, whatever the output.
 const SORT_THERE: u32 = 3u;
 
 // Whether an element is drawn whose alpha, of 255, is this, in an instance with these flags. Of pages without translucent elements, all are.

@@ -39,7 +39,7 @@ fn note_samples(count: u32) {
     atomicAdd(&stats[frame.view].pixels_of_samples, count);
 }
 
-// The same of segments of lines.
+// Counts a thread's pixels whose fragment in this layer is a segment's.
 fn note_segments(count: u32) {
     note_triangles(count);
     atomicAdd(&stats[frame.view].pixels_of_segments, count);

@@ -144,7 +144,7 @@ pub async fn resolve(app: &App, request: FrameRequest) -> Result<Arc<ResolvedFra
     resolve_if(app, request, || Ok(())).await
 }
 
-/// The same, where nothing is baked unless `check` allows it.
+/// Resolves a request as [`resolve`] does, and bakes nothing unless `check` allows it.
 async fn resolve_if(
     app: &App,
     request: FrameRequest,

@@ -169,7 +169,7 @@ fn compare(name: &str, levels: [&Level; 2], number: usize, view: &View, slack: &
         others.extend(why.map(|why| (x, y, why)));
     }
     println!("{name}: {} of {shown} patches are others", others.len());
-    // Of the smallest levels, one.
+    // The smallest levels may have one.
     let most = (slack.others * f64::from(shown)).max(1.0);
     let few = &others[..others.len().min(20)];
     // The disks of samples are too small for the coarsest levels.

@@ -182,7 +182,7 @@ fn another_look_is_promised_nothing() {
     for others in [
         &[("background", "#ffffff")][..],
         &[("fog", "off"), ("color_by", "normal")],
-        // What is predicted for the unshifted eye is not known of an eye anywhere beside it.
+        // A prediction for the unshifted eye says nothing of an eye that may be anywhere beside it.
         &[("eye_offset", "0.03")],
     ] {
         let pairs = [&[("budget_ms", "1000")], others].concat();
