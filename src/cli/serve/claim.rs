@@ -5,6 +5,7 @@
 //! the root. On a file system without locks the root stays unclaimed, with a warning.
 
 use std::fs::{File, OpenOptions};
+use std::io::Read;
 use std::path::Path;
 
 use super::patience::{patience, patiently};
@@ -88,8 +89,16 @@ fn inode(_: &File) -> Option<u64> {
 }
 
 /// The process that holds the lock of a file, if the system tells.
+///
+/// Linux writes `/proc/locks` anew for each read and continues at a position, so that a lock is left out between two reads where another process
+/// releases one before it. A read of a page is consistent: the buffer is large from the start, and the list is read again if the lock is missing.
 fn holder(inode: u64) -> Option<u32> {
-    lock_owner(&std::fs::read_to_string("/proc/locks").ok()?, inode)
+    let locks = || {
+        let mut locks = String::with_capacity(64 << 10);
+        File::open("/proc/locks").ok()?.read_to_string(&mut locks).ok()?;
+        Some(locks)
+    };
+    (0..3).find_map(|_| lock_owner(&locks()?, inode))
 }
 
 /// Finds the owner of a whole-file lock in `/proc/locks`: `1: FLOCK  ADVISORY  WRITE 42 fe:01:1234 0 EOF`.
