@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use utoipa::ToSchema;
 
-use super::frame::{missing, resolve, wait};
+use super::frame::{missing, queue_patiently, resolve, wait};
 use super::params::{DEFAULT_QUALITY, FrameParams, Names, names, unknown_name};
 use super::problem::{Kind, Problem};
 use super::{App, Caller, NoQuery, Segments, body, conditional};
@@ -161,16 +161,17 @@ pub async fn compare(
     })?;
 
     let [a, b] = asked.resolve(&app, &id, finer.as_ref()).await?;
-    let draw = |number: u64, frame: &Arc<ResolvedFrame>| {
-        let origin = Origin { client, request_id: request_id.part(number) };
-        let deadline = frame.request.deadline;
-        app.engine.queue(origin, frame.clone()).map(|ticket| (ticket, deadline))
-    };
-    // All frames are in the queue before the first one is awaited. The colours come first, as they are timed.
-    let [a_color, b_color] = [draw(0, &a.color)?, draw(1, &b.color)?];
-    let [a_coverage, b_coverage] = [draw(2, &a.coverage)?, draw(3, &b.coverage)?];
+    // A full queue refuses the first frame, as it refuses a single one. The others may have to wait until that one is drawn.
+    let origin = |number| Origin { client, request_id: request_id.part(number) };
+    let first = app.engine.queue(origin(0), a.color.clone())?;
+    let mut queued = vec![(first, a.color.request.deadline)];
+    // The colours come first, as they are timed.
+    for (number, frame) in (1..).zip([&b.color, &a.coverage, &b.coverage]) {
+        let ticket = queue_patiently(&app, &origin(number), frame).await?;
+        queued.push((ticket, frame.request.deadline));
+    }
     let mut frames = Vec::with_capacity(4);
-    for (ticket, deadline) in [a_color, a_coverage, b_color, b_coverage] {
+    for (ticket, deadline) in queued {
         let frame = wait(&app, ticket, deadline).await?;
         app.metrics.frame(&frame);
         frames.push(frame);
@@ -308,10 +309,11 @@ impl Asked {
         let found = async {
             let request = params.request(id, ImageFormat::Raw, self.now)?;
             let request = FrameRequest { settings: request.settings.complete(), ..request };
-            let settings = request.settings.finer(1, true);
-            let coverage = FrameRequest { settings, ..request.clone() };
-            let color = resolve(app, request).await?;
-            Ok(Side { color, coverage: resolve(app, coverage).await? })
+            let color = resolve(app, request.clone()).await?;
+            // A goal is pursued once, so that both frames are drawn in the same way.
+            let settings = color.settings().without_goal().complete().finer(1, true);
+            let coverage = resolve(app, FrameRequest { settings, ..request }).await?;
+            Ok(Side { color, coverage })
         };
         found.await.map_err(|problem| placed(place, missing(app, id, problem)))
     }
@@ -334,10 +336,10 @@ impl Asked {
         found.await.map_err(|problem| missing(app, id, problem))
     }
 
-    /// Compares the frames: colours and coverage of `a`, then of `b`.
+    /// Compares the frames: colours of `a` and `b`, then their coverage.
     fn answer(
         &self,
-        [a, a_coverage, b, b_coverage]: &[Arc<EncodedFrame>; 4],
+        [a, b, a_coverage, b_coverage]: &[Arc<EncodedFrame>; 4],
         finer: Option<Finer>,
     ) -> Result<Comparison, Problem> {
         let [width, height] = self.size;

@@ -26,6 +26,8 @@ pub const WARNING_HEADER: HeaderName = HeaderName::from_static("pointillist-warn
 pub const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
 /// Time for which a bake goes on after the deadline of the request that needed it.
 const BAKE_AFTER_DEADLINE: Duration = Duration::from_secs(60);
+/// Longest wait of one frame of several for a place in the queue.
+const MAX_QUEUEING: Duration = Duration::from_secs(30);
 /// `Retry-After` of a request whose deadline passed during a bake.
 pub(super) const RETRY_LATE: Duration = Duration::from_secs(1);
 const REVALIDATE: HeaderValue = HeaderValue::from_static("no-cache");
@@ -210,6 +212,26 @@ pub fn missing(app: &App, id: &str, problem: Problem) -> Problem {
         )
         .retry_after(Duration::from_secs(1)),
         None => problem,
+    }
+}
+
+/// Queues a frame. While the queue is full, waits for a place, at most until the frame's deadline and for [`MAX_QUEUEING`]: for requests of several
+/// frames, whose own frames fill the queue.
+pub(super) async fn queue_patiently(
+    app: &App,
+    origin: &Origin,
+    frame: &Arc<ResolvedFrame>,
+) -> Result<FrameTicket, EngineError> {
+    let end = Instant::now() + MAX_QUEUEING;
+    let end = frame.request.deadline.map_or(end, |deadline| deadline.min(end));
+    loop {
+        match app.engine.queue(origin.clone(), frame.clone()) {
+            Err(EngineError::Busy { retry_after }) if Instant::now() < end => {
+                let pause = retry_after.clamp(Duration::from_millis(2), Duration::from_secs(1));
+                tokio::time::sleep(pause).await;
+            }
+            queued => return queued,
+        }
     }
 }
 

@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 use std::fmt::Write;
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use axum::body::Body;
 use axum::extract::{Extension, State};
@@ -20,7 +20,7 @@ use serde::Deserialize;
 use utoipa::ToSchema;
 
 use super::access::signed::Caps;
-use super::frame::{choose_format, missing, receipt_headers, resolve, wait};
+use super::frame::{choose_format, missing, queue_patiently, receipt_headers, resolve, wait};
 use super::limits::{LONGEST_PAUSE, Standing};
 use super::params::FrameParams;
 use super::problem::{Kind, PROBLEM_JSON, Problem};
@@ -36,8 +36,6 @@ use crate::memory::Reservation;
 const MAX_BODY_BYTES: u64 = 16 << 20;
 /// Largest number of poses in one request.
 pub const MAX_POSES: usize = 10_000;
-/// Longest wait of a pose for a place in the queue.
-const MAX_QUEUEING: Duration = Duration::from_secs(30);
 
 /// Poses, and the parameters that they share.
 #[derive(Deserialize, ToSchema)]
@@ -235,24 +233,17 @@ impl Batch {
             Ok(frame) => frame,
             Err(problem) => return Some(Err(problem)),
         };
-        loop {
-            let origin = Origin { client: self.client, request_id: self.name(index) };
-            match self.app.engine.queue(origin, frame.clone()) {
-                Ok(ticket) => {
-                    let FrameRequest { deadline, width, height, .. } = frame.request;
-                    let pixels = u64::from(width) * u64::from(height);
-                    return Some(Ok(Promised { ticket, deadline, pixels }));
-                }
-                Err(EngineError::Busy { retry_after }) if turn.elapsed() < MAX_QUEUEING => {
-                    if !wait_for_place {
-                        return None;
-                    }
-                    let pause = retry_after.clamp(Duration::from_millis(2), Duration::from_secs(1));
-                    tokio::time::sleep(pause).await;
-                }
-                Err(error) => return Some(Err(error.into())),
-            }
-        }
+        let origin = Origin { client: self.client, request_id: self.name(index) };
+        let queued = match wait_for_place {
+            true => queue_patiently(&self.app, &origin, &frame).await,
+            false => match self.app.engine.queue(origin, frame.clone()) {
+                Err(EngineError::Busy { .. }) => return None,
+                queued => queued,
+            },
+        };
+        let FrameRequest { deadline, width, height, .. } = frame.request;
+        let pixels = u64::from(width) * u64::from(height);
+        Some(queued.map(|ticket| Promised { ticket, deadline, pixels }).map_err(Problem::from))
     }
 }
 

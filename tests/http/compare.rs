@@ -146,6 +146,17 @@ fn a_reference_is_drawn_in_detail() {
     assert!(psnr(&found) > 20.0, "{}", found["psnr_db"]);
 }
 
+/// The four frames of a comparison do not fit into the queue together.
+#[test]
+fn a_comparison_waits_for_its_own_frames() {
+    let daemon = Daemon::start(&["--queue", "1"]);
+    let client = daemon.client();
+    for against in [json!({ "a": {}, "b": {} }), json!({ "a": {}, "against": "reference" })] {
+        let reply = ask(&client, against);
+        assert_eq!(reply.status, 200, "{}", reply.text());
+    }
+}
+
 #[test]
 fn refusals_name_the_parameter() {
     let daemon = Daemon::start(&["--max-pixels", "1000000"]);
