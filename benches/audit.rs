@@ -287,12 +287,11 @@ fn beyond_px(covered: &[bool], fine: &[bool]) -> anyhow::Result<f64> {
 fn facing(orbit: &Orbit, turn: f64, distance: f64) -> Camera {
     let reach = (orbit.eye - orbit.target).length();
     let rise = DVec3::new(0.3, 0.25, 0.9).normalize_or(DVec3::Z);
-    Camera {
-        eye: orbit.target + DQuat::from_rotation_y(turn) * rise * reach * distance,
-        target: orbit.target,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: orbit.fov_deg },
-    }
+    Camera::perspective(
+        orbit.target + DQuat::from_rotation_y(turn) * rise * reach * distance,
+        orbit.target,
+        orbit.fov_deg,
+    )
 }
 
 /// A slow flight towards the model, or around it, from a distance: cameras so near each other that the image moves by `STEP_PX`.

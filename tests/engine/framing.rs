@@ -162,8 +162,7 @@ fn a_frame_that_shows_nothing_says_why() {
     studio.load_two();
     let looking = |scene: &str, target: [f64; 3], output| {
         let (eye, target) = (DVec3::new(0.0, 0.0, 4.0), DVec3::from_array(target));
-        let camera =
-            Camera { eye, target, up: DVec3::Y, lens: Lens::Perspective { fov_deg: 40.0 } };
+        let camera = Camera::perspective(eye, target, 40.0);
         let request = FrameRequest { pose: Pose::Camera(camera), ..fit(scene, 48, output) };
         let format = ImageFormat::Raw;
         studio.frame(&FrameRequest { format, ..request }).receipt.nothing_visible.clone()

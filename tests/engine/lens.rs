@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use pointillist::engine::{EngineError, FrameRequest, Pose};
-use pointillist::math::{Camera, Lens, Projection, View, exposures};
+use pointillist::math::{Camera, Projection, View, exposures};
 use pointillist::plan::{BlurSamples, Output, Pass, Reconstruct, Settings};
 use pointillist::scene::color::{linear_from_srgb, srgb_from_linear};
 use serde_json::json;
@@ -12,12 +12,7 @@ use super::studio::{Studio, etag, front, same, spt};
 const LENS: f64 = 0.3;
 
 fn camera(x: f64) -> Camera {
-    Camera {
-        eye: DVec3::new(x, 0.3, 4.0),
-        target: DVec3::new(x, 0.0, 0.0),
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 45.0 },
-    }
+    Camera::perspective(DVec3::new(x, 0.3, 4.0), DVec3::new(x, 0.0, 0.0), 45.0)
 }
 
 /// A frame through a lens whose plane of focus is 3 units away.

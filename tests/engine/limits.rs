@@ -9,12 +9,7 @@ use pointillist::plan::{Antialias, Output, Settings};
 use super::studio::{Studio, front};
 
 fn camera() -> Camera {
-    Camera {
-        eye: DVec3::Z * 3.0,
-        target: DVec3::ZERO,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 45.0 },
-    }
+    Camera::perspective(DVec3::Z * 3.0, DVec3::ZERO, 45.0)
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use pointillist::encode::ImageFormat;
 use pointillist::engine::{EncodedFrame, EngineError, FrameRequest, Pose};
-use pointillist::math::{Camera, Lens, Projection};
+use pointillist::math::{Camera, Projection};
 use pointillist::plan::{Edl, Effect, Given, ImagePart, Lod, Output, Reconstruct, Settings};
 
 use super::studio::{Studio, etag, front};
@@ -124,12 +124,7 @@ fn parts_are_drawn_alike() {
 fn images_may_be_larger_than_frames() {
     let studio = Studio::new();
     studio.load_two();
-    let camera = Camera {
-        eye: [0.0, 0.0, 4.0].into(),
-        target: [0.0; 3].into(),
-        up: [0.0, 1.0, 0.0].into(),
-        lens: Lens::Perspective { fov_deg: 45.0 },
-    };
+    let camera = Camera::perspective([0.0, 0.0, 4.0].into(), [0.0; 3].into(), 45.0);
     let whole = FrameRequest { pose: Pose::Camera(camera), ..front("solid", 65536, 65536) };
     assert!(matches!(studio.engine.submit(whole.clone()), Err(EngineError::OverLimit { .. })));
     // The middle of the wall, where neighbouring parts meet: no background shines through.
@@ -212,12 +207,7 @@ fn parts_beyond_the_image_are_refused() {
     assert!(refused(part(&whole, [0, 79], [10, 2])).contains("80 rows"));
     let view = whole.clone();
     let Pose::Named(_) = &view.pose else { panic!("no camera") };
-    let camera = Camera {
-        eye: [0.0, 0.0, 4.0].into(),
-        target: [0.0; 3].into(),
-        up: [0.0, 1.0, 0.0].into(),
-        lens: Lens::Perspective { fov_deg: 45.0 },
-    };
+    let camera = Camera::perspective([0.0, 0.0, 4.0].into(), [0.0; 3].into(), 45.0);
     let by_view = FrameRequest { pose: Pose::View(camera.view(10, 10).unwrap()), ..whole.clone() };
     assert!(refused(part(&by_view, [0, 0], [10, 10])).contains("`proj`"));
     // Parts have entity tags of their own; the format stays what it was.

@@ -9,12 +9,7 @@ use serde_json::json;
 use super::studio::{Studio, etag, front, same, wall};
 
 fn camera() -> Camera {
-    Camera {
-        eye: DVec3::new(0.0, 0.3, 4.0),
-        target: DVec3::ZERO,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 45.0 },
-    }
+    Camera::perspective(DVec3::new(0.0, 0.3, 4.0), DVec3::ZERO, 45.0)
 }
 
 fn request(settings: Settings) -> FrameRequest {

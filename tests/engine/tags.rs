@@ -12,12 +12,7 @@ use serde_json::json;
 use super::studio::{OUTPUTS, Studio, cloud_scene, disk_sphere, disks, front, same, sphere};
 
 fn camera() -> Camera {
-    Camera {
-        eye: DVec3::new(0.0, 0.0, 3.0),
-        target: DVec3::ZERO,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 45.0 },
-    }
+    Camera::perspective(DVec3::new(0.0, 0.0, 3.0), DVec3::ZERO, 45.0)
 }
 
 /// A single pass that overflows is replaced by three, which may have ambient occlusion where the single pass has none.

@@ -143,12 +143,7 @@ fn frames_of_any_size() {
     for (width, height, least) in
         [(1, 1, 30.0), (7, 5, 40.0), (15, 64, 42.0), (130, 33, 42.0), (517, 3, 42.0)]
     {
-        let camera = Camera {
-            eye: DVec3::new(0.5, 0.8, 2.0),
-            target: DVec3::ZERO,
-            up: DVec3::Y,
-            lens: Lens::Perspective { fov_deg: 50.0 },
-        };
+        let camera = Camera::perspective(DVec3::new(0.5, 0.8, 2.0), DVec3::ZERO, 50.0);
         let view = camera.view(width, height).unwrap();
         check(&case, &view, painted(Filter::Perspective), least);
     }
