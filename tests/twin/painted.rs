@@ -130,7 +130,7 @@ fn the_nearest_splat_hides_the_others() {
 /// Triangles and lines in front and behind, instances, and splats that reach the camera plane.
 #[test]
 fn triangles_hide_what_is_behind_them() {
-    let case = over_a_floor("painted-mixed");
+    let case = over_a_floor("painted-mixed", &ball(900, 14), -0.75);
     for eye in [[1.0, 1.2, 2.5], [-2.0, 0.4, 1.0], [0.2, 0.1, 1.1], [0.6, -1.6, 2.5]] {
         check(&case, &look(eye, [0.3, 0.0, 0.0], 55.0), painted(Filter::Perspective), 42.0);
     }
