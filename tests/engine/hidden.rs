@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use glam::DVec3;
 use pointillist::engine::{FrameRequest, Pose};
-use pointillist::math::{Camera, Lens, Projection};
+use pointillist::math::{Camera, Projection};
 use pointillist::plan::{Antialias, Edl, ErrorMode, Output, Pass, Reconstruct, Settings};
 use pointillist::scene::{Blend, Filter, Shading};
 use serde_json::json;
@@ -325,8 +325,7 @@ fn points_with_gaps_between_them_are_drawn_without_asking() {
         );
         studio
     });
-    let lens = Lens::Perspective { fov_deg: 40.0 };
-    let camera = Camera { eye: DVec3::new(0.0, 0.0, 4.0), target: DVec3::ZERO, up: DVec3::Y, lens };
+    let camera = Camera::perspective(DVec3::new(0.0, 0.0, 4.0), DVec3::ZERO, 40.0);
     for (width, height, asks) in [(160, 120, true), (960, 720, false)] {
         let settings = Settings { edl: Edl::Off, ..Settings::drawn_as(Reconstruct::Points) };
         let pose = Pose::Camera(camera);

@@ -122,8 +122,7 @@ fn parts_are_drawn_alike() {
 /// An image of more pixels than a frame may have, and a part of it at the far corner.
 #[test]
 fn images_may_be_larger_than_frames() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let camera = Camera::perspective([0.0, 0.0, 4.0].into(), [0.0; 3].into(), 45.0);
     let whole = FrameRequest { pose: Pose::Camera(camera), ..front("solid", 65536, 65536) };
     assert!(matches!(studio.engine.submit(whole.clone()), Err(EngineError::OverLimit { .. })));
@@ -176,8 +175,7 @@ fn effects_are_those_of_the_whole_image() {
 /// Settings that are chosen for a goal would be chosen for each part.
 #[test]
 fn goals_are_refused_for_parts() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let mut request = part(&front("solid", 100, 80), [0, 0], [10, 10]);
     request.settings = Settings { part_of: request.settings.part_of, ..goal() };
     let refused = studio.engine.submit(request).err().map(|error| error.to_string());
@@ -192,8 +190,7 @@ fn goal() -> Settings {
 
 #[test]
 fn parts_beyond_the_image_are_refused() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let whole = front("solid", 100, 80);
     let refused = |request: FrameRequest| match studio.engine.submit(request) {
         Err(EngineError::BadParameter { parameter, reason, .. }) => {

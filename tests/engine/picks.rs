@@ -210,8 +210,7 @@ fn a_pick_names_the_nodes_above_an_instance() {
 
 #[test]
 fn pixels_outside_the_frame_are_refused() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let request = request_of(front("cloud", 60, 50));
     let frame = studio.engine.resolve_blocking(request).unwrap();
     let refused = |pixels: Vec<[u32; 2]>| match studio.engine.pick(Client::Unnamed, &frame, pixels)

@@ -29,6 +29,13 @@ impl Studio {
         Studio::with(|_| {})
     }
 
+    /// An engine with the scenes of [`Studio::load_two`].
+    pub fn with_two() -> Studio {
+        let studio = Studio::new();
+        studio.load_two();
+        studio
+    }
+
     pub fn with(adjust: impl FnOnce(&mut EngineConfig)) -> Studio {
         let folder = tempfile::tempdir().unwrap();
         let mut config = EngineConfig::new(folder.path());

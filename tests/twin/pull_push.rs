@@ -5,7 +5,7 @@
 
 use glam::DVec3;
 use pointillist::accuracy::metrics;
-use pointillist::math::{Camera, Lens, View};
+use pointillist::math::{Camera, View};
 use pointillist::oracle::{self, OracleFrame, OracleScene};
 use pointillist::plan::{Lod, MaxError, Pass, Reconstruct, Reconstruction, Settings};
 use pointillist::scene::PullPushWeights;
@@ -192,8 +192,7 @@ fn surfaces_behind_an_outline_close() {
         let name = format!("pulled-behind-{count}");
         let case = Case::new(&name, &[("c.ply", ball(count, seed).ply())], &scene);
         for eye in [[0.0, 0.0, 5.0], [0.6, 0.3, 4.2], [-0.8, 0.5, 3.6]] {
-            let lens = Lens::Perspective { fov_deg: 40.0 };
-            let camera = Camera { eye: eye.into(), target: DVec3::ZERO, up: DVec3::Y, lens };
+            let camera = Camera::perspective(eye.into(), DVec3::ZERO, 40.0);
             let view = camera.view(300, 300).unwrap();
             let found = faults_beside_splats(&case, &view);
             (holes, leaks, covered) = (holes + found[0], leaks + found[1], covered + found[2]);
@@ -236,8 +235,7 @@ fn pyramids_of_any_size() {
         let away = View { width, height, ..look([0.0, 0.0, 9.0], [0.0, 0.0, 20.0], 60.0) };
         assert_eq!(full.draw_with(&away, pull_push()).covered(), 0);
         // The disk of the lone sample faces the eye, two units before it.
-        let lens = Lens::Perspective { fov_deg: 60.0 };
-        let camera = Camera { eye: place * 3.0, target: place, up: DVec3::Y, lens };
+        let camera = Camera::perspective(place * 3.0, place, 60.0);
         let shown = lone.draw_with(&camera.view(width, height).unwrap(), pull_push());
         assert!(shown.covered() > 0, "{width} × {height}");
         for (id, depth) in shown.id.iter().zip(&shown.depth) {
