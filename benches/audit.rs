@@ -25,7 +25,7 @@ use pointillist::accuracy::temporal::Change;
 use pointillist::encode::ImageFormat;
 use pointillist::engine::{EncodedFrame, FrameRequest, Pose};
 use pointillist::generate::{Kind, Parameters};
-use pointillist::math::{Camera, Lens};
+use pointillist::math::Camera;
 use pointillist::plan::{ColorBy, Lod, MaxError, Output, Reconstruct, Settings};
 use pointillist::scene::color::{linear_from_srgb, srgb_from_linear};
 use pointillist::scene::random::SplitMix64;
@@ -200,8 +200,7 @@ fn poses(orbit: &Orbit, seed: u64, count: usize) -> Vec<Camera> {
             let distance = reach * numbers.range(NEAREST.ln(), FARTHEST.ln()).exp();
             let beside = DVec3::from_array(std::array::from_fn(|_| numbers.range(-0.1, 0.1)));
             let target = orbit.target + reach * beside;
-            let lens = Lens::Perspective { fov_deg: orbit.fov_deg };
-            Camera { eye: target + distance * way, target, up: DVec3::Y, lens }
+            Camera::perspective(target + distance * way, target, orbit.fov_deg)
         })
         .collect()
 }
@@ -287,12 +286,11 @@ fn beyond_px(covered: &[bool], fine: &[bool]) -> anyhow::Result<f64> {
 fn facing(orbit: &Orbit, turn: f64, distance: f64) -> Camera {
     let reach = (orbit.eye - orbit.target).length();
     let rise = DVec3::new(0.3, 0.25, 0.9).normalize_or(DVec3::Z);
-    Camera {
-        eye: orbit.target + DQuat::from_rotation_y(turn) * rise * reach * distance,
-        target: orbit.target,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: orbit.fov_deg },
-    }
+    Camera::perspective(
+        orbit.target + DQuat::from_rotation_y(turn) * rise * reach * distance,
+        orbit.target,
+        orbit.fov_deg,
+    )
 }
 
 /// A slow flight towards the model, or around it, from a distance: cameras so near each other that the image moves by `STEP_PX`.

@@ -21,7 +21,7 @@ use common::{median, pick};
 use glam::DVec3;
 use pointillist::encode::ImageFormat;
 use pointillist::generate::{Kind, Parameters};
-use pointillist::math::{Camera, Lens};
+use pointillist::math::Camera;
 use pointillist::plan::{Lod, MaxError, Reconstruct, Settings};
 
 /// Frames are drawn so much larger, and accept as much more.
@@ -72,12 +72,7 @@ fn approach(orbit: &Orbit, from: f64, frames: u32) -> Vec<Camera> {
         .map(|frame| {
             let distance = from * (1.0 - STEP).powi(frame as i32);
             let eye = orbit.target + (orbit.eye - orbit.target) * distance;
-            Camera {
-                eye,
-                target: orbit.target,
-                up: DVec3::Y,
-                lens: Lens::Perspective { fov_deg: orbit.fov_deg },
-            }
+            Camera::perspective(eye, orbit.target, orbit.fov_deg)
         })
         .collect()
 }

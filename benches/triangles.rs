@@ -14,7 +14,7 @@ use common::{crossing_px, files, median, median_ratio, ms, pick};
 use glam::DVec3;
 use pointillist::engine::Receipt;
 use pointillist::generate::{Kind, Parameters};
-use pointillist::math::{Camera, Lens};
+use pointillist::math::Camera;
 use pointillist::passes::small_triangle_px;
 
 const SIZE: u32 = 1024;
@@ -74,12 +74,7 @@ fn facing(frame: u32) -> Camera {
     let shift = 0.01 * f64::from(frame);
     let distance = f64::from(SIZE);
     let center = DVec3::new(0.5 * distance + 0.371 + shift, 0.5 * distance + 0.613, 0.0);
-    Camera {
-        eye: center + DVec3::Z * distance,
-        target: center,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 2.0 * 0.5f64.atan().to_degrees() },
-    }
+    Camera::perspective(center + DVec3::Z * distance, center, 2.0 * 0.5f64.atan().to_degrees())
 }
 
 /// How triangles can be drawn: name, longest side that a thread walks alone, and who draws the others.

@@ -9,7 +9,7 @@ use pointillist::encode::ImageFormat;
 use pointillist::engine::{
     EncodedFrame, Engine, EngineConfig, FrameRequest, Pose, Receipt, SceneInfo,
 };
-use pointillist::math::{Camera, Lens};
+use pointillist::math::Camera;
 use pointillist::plan::{Output, Reconstruct, Settings};
 
 /// A camera that turns about the vertical axis through its target, as the peer's does.
@@ -48,12 +48,11 @@ impl Orbit {
 
     pub fn at(&self, degrees: f64) -> Camera {
         let turn = DQuat::from_rotation_y(degrees.to_radians());
-        Camera {
-            eye: self.target + turn * (self.eye - self.target),
-            target: self.target,
-            up: DVec3::Y,
-            lens: Lens::Perspective { fov_deg: self.fov_deg },
-        }
+        Camera::perspective(
+            self.target + turn * (self.eye - self.target),
+            self.target,
+            self.fov_deg,
+        )
     }
 }
 

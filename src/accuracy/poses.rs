@@ -158,9 +158,7 @@ mod tests {
 
     #[test]
     fn spread_views_differ_and_stay_within_their_ranges() {
-        let lens = Lens::Perspective { fov_deg: 40.0 };
-        let view =
-            Camera { eye: DVec3::new(0.0, 3.0, 4.0), target: DVec3::ZERO, up: DVec3::Y, lens };
+        let view = Camera::perspective(DVec3::new(0.0, 3.0, 4.0), DVec3::ZERO, 40.0);
         let poses = spread(&view, 0, 32, &[]);
         let away = |pose: &NamedPose| pose.camera.eye - pose.camera.target;
         for (number, pose) in poses.iter().enumerate() {

@@ -192,7 +192,6 @@ pub fn image(frame: &OracleFrame, output: Output) -> FrameImage {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::Lens;
     use glam::DVec3;
 
     fn folder() -> tempfile::TempDir {
@@ -206,9 +205,7 @@ mod tests {
 
     fn view() -> View {
         let eye = DVec3::new(0.0, 0.0, 4.0);
-        Camera { eye, target: DVec3::ZERO, up: DVec3::Y, lens: Lens::Perspective { fov_deg: 60.0 } }
-            .view(16, 12)
-            .unwrap()
+        Camera::perspective(eye, DVec3::ZERO, 60.0).view(16, 12).unwrap()
     }
 
     #[test]

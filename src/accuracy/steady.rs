@@ -333,12 +333,7 @@ mod tests {
     /// A view counts as unsteady and as not finite each by itself, and is listed once; the worst view is the one farthest beyond what is allowed.
     #[test]
     fn frames_that_break_a_bound_are_found() {
-        let camera = Camera {
-            eye: DVec3::Z,
-            target: DVec3::ZERO,
-            up: DVec3::Y,
-            lens: Lens::Perspective { fov_deg: 40.0 },
-        };
+        let camera = Camera::perspective(DVec3::Z, DVec3::ZERO, 40.0);
         let mut found = Steadiness::default();
         let judged = |changed, away, odd_depths, odd_normals| Judgement {
             changed,

@@ -157,8 +157,6 @@ struct Scan {
     intensities: Vec<f32>,
     /// Empty, or the colour of each position; not-a-number where it has none.
     rgb: Vec<[f32; 3]>,
-    /// Positions without a colour.
-    bare: u64,
     no_return: u64,
     not_finite: u64,
 }
@@ -175,7 +173,6 @@ impl Scan {
             positions: Vec::new(),
             intensities: Vec::new(),
             rgb: Vec::new(),
-            bare: 0,
             no_return: 0,
             not_finite: 0,
         };
@@ -240,20 +237,20 @@ impl Scan {
         if let &[r, g, b] | &[_, r, g, b] = rest {
             self.rgb.resize(before, [f32::NAN; 3]);
             self.rgb.push([r, g, b].map(|channel| channel as f32));
-        } else {
-            self.bare += 1;
         }
     }
 
-    /// The colour of each position, white where it has none; `None` where no position has one.
-    fn colors(&self) -> Option<Vec<[u8; 4]>> {
+    /// The colour of each position, white where it has none, and how many have none; `None` where no position has one.
+    fn colors(&self) -> Option<(Vec<[u8; 4]>, u64)> {
         let mut colors = colors(self.rgb.len(), |point| self.rgb[point])?;
+        let mut bare = 0;
         for (color, rgb) in colors.iter_mut().zip(&self.rgb) {
             if rgb.iter().all(|channel| channel.is_nan()) {
                 *color = [255; 4];
+                bare += 1;
             }
         }
-        Some(colors)
+        Some((colors, bare))
     }
 }
 
@@ -274,8 +271,8 @@ fn finish(scans: Vec<Scan>, name: &str) -> Result<Asset, AssetError> {
             geometry: asset.geometries.len(),
             asset_from_geometry: scan.file_from_scan,
         });
-        let colors = scan.colors();
-        bare += if colors.is_some() { scan.bare } else { 0 };
+        let (colors, without_color) = scan.colors().unzip();
+        bare += without_color.unwrap_or(0);
         let intensity = Column::of(INTENSITY, Numbers::Singles(scan.intensities));
         asset.geometries.push(Geometry::Points(PointCloud {
             colors,

@@ -215,6 +215,11 @@ pub fn spread(v: u64) -> u64 {
     (x | x << 2) & 0x1249_2492_4924_9249
 }
 
+/// The grid position of a vertex of a mesh or a line, whose words begin with it.
+fn cell_of<const WORDS: usize>(words: &[u32; WORDS]) -> IVec3 {
+    IVec3::new(words[0] as i32, words[1] as i32, words[2] as i32)
+}
+
 /// Morton code of a cell, from the upper 21 of 30 bits per coordinate.
 pub(super) fn morton(cell: IVec3) -> u64 {
     let part = |v: i32| spread((i64::from(v) + (1 << 29)).clamp(0, (1 << 30) - 1) as u64 >> 9);

@@ -158,10 +158,7 @@ fn load(args: &AccuracyArgs, scene: &Path) -> Result<(Engine, SceneInfo)> {
         limits: args.limits.clone(),
     };
     scene_args.check_up()?;
-    let (engine, info) = scene_args.load(|_| ())?;
-    for warning in &info.warnings {
-        say!("warning: {warning}");
-    }
+    let (engine, info) = scene_args.load_and_warn()?;
     if info.bounds.is_none() {
         bail!("{}: the scene is empty, so there is nothing to compare", scene.display());
     }

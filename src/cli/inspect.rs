@@ -49,7 +49,7 @@ struct Inspection {
 pub fn run(args: &InspectArgs) -> Result<()> {
     super::local::init_log();
     args.scene.check_up()?;
-    let (engine, mut scene) = args.scene.load(|_| ())?;
+    let (engine, mut scene) = args.scene.load()?;
     scene.id.clone_from(&scene.name);
     let request = FrameRequest {
         scene: ID.to_owned(),

@@ -8,6 +8,7 @@ use glam::DVec3;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use super::cache::CacheArgs;
+use super::out::say;
 use crate::assets::Progress;
 use crate::bake::prepare::is_scene_file;
 use crate::engine::{BakeEvent, Engine, EngineConfig, SceneInfo};
@@ -106,10 +107,7 @@ impl SceneArgs {
     ///
     /// # Errors
     /// There is no GPU adapter, or the scene is refused.
-    pub fn load(
-        &self,
-        adjust: impl FnOnce(&mut EngineConfig),
-    ) -> anyhow::Result<(Engine, SceneInfo)> {
+    pub fn load(&self) -> anyhow::Result<(Engine, SceneInfo)> {
         let bar = progress_bar();
         let (path, mut config) = self.file.config(&bar)?;
         config.gpu_budget_bytes = self.limits.gpu_budget_mib.map(|mib| mib.saturating_mul(1 << 20));
@@ -117,11 +115,22 @@ impl SceneArgs {
         config.max_pixels = self.limits.max_pixels.unwrap_or(config.max_pixels);
         config.max_side = self.limits.max_side.unwrap_or(config.max_side);
         config.up = self.up();
-        adjust(&mut config);
         let engine = Engine::start(config)?;
         let loaded = engine.load(ID, &path);
         bar.finish_and_clear();
         Ok((engine, loaded?))
+    }
+
+    /// Loads the scene, and writes its warnings to standard error.
+    ///
+    /// # Errors
+    /// As [`SceneArgs::load`].
+    pub fn load_and_warn(&self) -> anyhow::Result<(Engine, SceneInfo)> {
+        let (engine, info) = self.load()?;
+        for warning in &info.warnings {
+            say!("warning: {warning}");
+        }
+        Ok((engine, info))
     }
 }
 

@@ -99,10 +99,7 @@ pub fn run(args: PanoramaArgs) -> anyhow::Result<()> {
         Layout::Equirectangular => (f64::from(width) * 1.25 / PI).ceil() as u32,
         Layout::Cube => width,
     };
-    let (engine, info) = args.scene.load(|_| ())?;
-    for warning in &info.warnings {
-        say!("warning: {warning}");
-    }
+    let (engine, _) = args.scene.load_and_warn()?;
     check_side(&engine, &request, args.layout, side)?;
     let eye = Eye::of(&engine, &request)?;
     let drawn =

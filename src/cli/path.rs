@@ -67,10 +67,7 @@ pub fn run(args: PathArgs) -> anyhow::Result<()> {
     let mut request = args.frame.request(Pose::FIT, args.format.format())?;
     request.settings.wait = Wait::Whole;
     let target = Target::new(&args)?;
-    let (engine, info) = args.scene.load(|_| ())?;
-    for warning in &info.warnings {
-        say!("warning: {warning}");
-    }
+    let (engine, info) = args.scene.load_and_warn()?;
     let mark = engine.scene_mark(ID).context("the scene is gone")?;
     let shots = shots(&engine, &info, &args.path, args.fps, args.from, args.to)?;
     let reel = Reel::new(&request, &shots, args.bitrate_kbps);

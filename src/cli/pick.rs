@@ -37,7 +37,7 @@ pub fn run(args: &PickArgs) -> anyhow::Result<()> {
     }
     let pixels = args.x.iter().zip(&args.y).map(|(&x, &y)| [x, y]).collect();
     let request = args.draw.request(args.pose.pose(args.scene.up()))?;
-    let (engine, _) = args.scene.load(|_| ())?;
+    let (engine, _) = args.scene.load()?;
     let frame = engine.resolve_blocking(request_of(request))?;
     let (ticket, picker) = engine.pick(Client::Unnamed, &frame, pixels)?;
     let picks = picker.read(&*ticket.wait()?)?;

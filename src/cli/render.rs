@@ -75,10 +75,7 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     super::local::init_log();
     let request = args.frame.request(args.pose.pose(args.scene.up()), args.format()?)?;
     let begin = Instant::now();
-    let (engine, info) = args.scene.load(|_| ())?;
-    for warning in &info.warnings {
-        say!("warning: {warning}");
-    }
+    let (engine, info) = args.scene.load_and_warn()?;
     let loaded = begin.elapsed();
     super::path::bake(&engine, &request)?;
     let baked = begin.elapsed() - loaded;

@@ -61,10 +61,7 @@ pub fn run(args: StereoArgs) -> anyhow::Result<()> {
     super::local::init_log();
     let format = super::render::format_of(&args.file)?;
     let request = args.draw.request_to_shift(args.pose.pose(args.scene.up()))?;
-    let (engine, info) = args.scene.load(|_| ())?;
-    for warning in &info.warnings {
-        say!("warning: {warning}");
-    }
+    let (engine, _) = args.scene.load_and_warn()?;
     let (distance, apart) = distances(&engine, &request, args.eye_distance)?;
     let eyes = |request: &FrameRequest| {
         [-0.5, 0.5].map(|side| {

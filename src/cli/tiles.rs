@@ -63,10 +63,7 @@ pub fn run(args: TilesArgs) -> anyhow::Result<()> {
         Some("dzi") => true,
         _ => bail!("{}: the name ends neither with .png nor with .dzi", args.file.display()),
     };
-    let (engine, info) = args.scene.load(|_| ())?;
-    for warning in &info.warnings {
-        say!("warning: {warning}");
-    }
+    let (engine, _) = args.scene.load_and_warn()?;
     let limits = engine.limits();
     let parts = request.settings.parts();
     let exposures = request.clone().with_blur_decided().settings.exposures();

@@ -119,6 +119,17 @@ impl Access {
     }
 }
 
+impl Refused {
+    /// A request with a key that is not in the file.
+    fn guess(problem: Problem) -> Refused {
+        Refused { is_guess: true, ..Refused::from(problem) }
+    }
+
+    fn of(key: &ApiKey, problem: Problem) -> Refused {
+        Refused { key: Some(key.name.clone()), ..Refused::from(problem) }
+    }
+}
+
 impl From<Problem> for Refused {
     fn from(problem: Problem) -> Refused {
         Refused { problem: Box::new(problem), key: None, is_guess: false }
@@ -289,14 +300,9 @@ fn check_key<'a>(
         }
     }
     let Some(granted) = granted else {
-        let problem = unauthorized("the key is not known");
-        return Err(Refused { problem: Box::new(problem), key: None, is_guess: true });
+        return Err(Refused::guess(unauthorized("the key is not known")));
     };
-    let refused = |problem| Refused {
-        problem: Box::new(problem),
-        key: Some(granted.name.clone()),
-        is_guess: false,
-    };
+    let refused = |problem| Refused::of(granted, problem);
     if has_passed(granted.expires) {
         return Err(refused(unauthorized("the key has expired")));
     }
@@ -330,14 +336,9 @@ fn check_signed<'a>(
             && key.url_secret.as_ref().is_some_and(|secret| claim.is_signed_with(secret, path))
     };
     let Some(key) = keys.iter().find(signed_with) else {
-        let problem = unauthorized("the signature is not that of this address");
-        return Err(Refused { problem: Box::new(problem), key: None, is_guess: true });
+        return Err(Refused::guess(unauthorized("the signature is not that of this address")));
     };
-    let refused = |problem| Refused {
-        problem: Box::new(problem),
-        key: Some(key.name.clone()),
-        is_guess: false,
-    };
+    let refused = |problem| Refused::of(key, problem);
     let credential = key.url_secret.as_ref().map(Secret::digest);
     let caps = Caps { credential, ..claim.terms.caps() };
     if has_passed(caps.until) {

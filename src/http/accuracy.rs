@@ -195,15 +195,8 @@ pub async fn show(
         serde_json::to_string(&known).map_err(Problem::internal)
     })
     .await?;
-    let etag = entity_tag(&text);
-    let tag = HeaderValue::from_str(&etag).map_err(Problem::internal)?;
-    let validators =
-        [(header::ETAG, tag), (header::CACHE_CONTROL, HeaderValue::from_static("no-cache"))];
-    if conditional::none_match_hits(&headers, &etag) {
-        return Ok((StatusCode::NOT_MODIFIED, validators).into_response());
-    }
     let json = [(header::CONTENT_TYPE, HeaderValue::from_static("application/json"))];
-    Ok((validators, json, text).into_response())
+    conditional::revalidated(&headers, &entity_tag(&text), (json, text))
 }
 
 /// Measures the accuracy of a scene, in the background.

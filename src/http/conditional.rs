@@ -1,6 +1,7 @@
 //! Conditional requests and content negotiation (RFC 9110 §12.5.1, §13.1.2), as pure functions.
 
-use axum::http::{HeaderMap, header};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
 
 use super::problem::{Kind, Problem};
 use crate::encode::{self, ImageFormat};
@@ -32,6 +33,25 @@ fn list_names(list: &str, etag: &str) -> bool {
         }
         rest = &inner[length + 1..];
     }
+}
+
+/// Answers with `answer` and its entity tag (quoted), or with 304 if the client has it already. Clients ask again before each use.
+///
+/// # Errors
+/// The tag is no header.
+pub fn revalidated(
+    request: &HeaderMap,
+    etag: &str,
+    answer: impl IntoResponse,
+) -> Result<Response, Problem> {
+    let tag = HeaderValue::from_str(etag).map_err(Problem::internal)?;
+    let validators =
+        [(header::ETAG, tag), (header::CACHE_CONTROL, HeaderValue::from_static("no-cache"))];
+    Ok(if none_match_hits(request, etag) {
+        (StatusCode::NOT_MODIFIED, validators).into_response()
+    } else {
+        (validators, answer).into_response()
+    })
 }
 
 /// Formats in the server's order of preference, each with its media types.
@@ -134,7 +154,6 @@ pub fn prefer_wait(headers: &HeaderMap) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use axum::http::HeaderValue;
 
     fn with(name: &'static str, value: &str) -> HeaderMap {
         let mut headers = HeaderMap::new();

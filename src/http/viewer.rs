@@ -8,8 +8,8 @@ use std::borrow::Cow;
 use std::fmt::Write;
 use std::sync::LazyLock;
 
-use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
-use axum::response::{IntoResponse, Response};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, header};
+use axum::response::Response;
 use serde_json::json;
 use sha2::{Digest, Sha256};
 
@@ -161,21 +161,14 @@ impl File {
 }
 
 fn answer(file: &File, headers: &HeaderMap) -> Result<Response, Problem> {
-    const NO_CACHE: HeaderValue = HeaderValue::from_static("no-cache");
     let text = file.text();
-    let etag = entity_tag(&text);
-    let tag = HeaderValue::from_str(&etag).map_err(Problem::internal)?;
-    let validators = [(header::ETAG, tag), (header::CACHE_CONTROL, NO_CACHE)];
-    if conditional::none_match_hits(headers, &etag) {
-        return Ok((StatusCode::NOT_MODIFIED, validators).into_response());
-    }
     let facts: [(HeaderName, HeaderValue); 4] = [
         (header::CONTENT_TYPE, HeaderValue::from_static(file.media_type())),
         (header::CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY)),
         (header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff")),
         (header::REFERRER_POLICY, HeaderValue::from_static("no-referrer")),
     ];
-    Ok((validators, facts, text.into_owned()).into_response())
+    conditional::revalidated(headers, &entity_tag(&text), (facts, text))
 }
 
 /// Returns a strong entity tag (quoted) of a text.

@@ -184,6 +184,11 @@ impl Lens {
 const WIDEST_DEG: f64 = 100.0;
 
 impl Camera {
+    /// A camera in perspective with y up; `fov_deg`: its vertical field of view in degrees.
+    pub fn perspective(eye: DVec3, target: DVec3, fov_deg: f64) -> Camera {
+        Camera { eye, target, up: DVec3::Y, lens: Lens::Perspective { fov_deg } }
+    }
+
     /// This camera for a frame of `width` × `height`. Cameras are made for frames at least as wide as high. A narrower frame
     /// shows the same width and more height; for this the field of view grows to at most 100 degrees.
     pub fn for_frame(&self, width: u32, height: u32) -> Camera {

@@ -99,7 +99,7 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
-    use crate::math::{Camera, Lens};
+    use crate::math::Camera;
 
     const COUNTS: [u32; 8] = [2, 4, 8, 16, 32, 64, 128, 256];
 
@@ -174,9 +174,8 @@ mod tests {
 
     #[test]
     fn what_is_in_focus_stays_and_the_rest_moves_as_a_thin_lens_says() {
-        let lens = Lens::Perspective { fov_deg: 40.0 };
         let (eye, target) = (DVec3::new(1.0, 2.0, 3.0), DVec3::new(-1.0, 0.5, 0.0));
-        let view = Camera { eye, target, up: DVec3::Y, lens }.view(640, 480).unwrap();
+        let view = Camera::perspective(eye, target, 40.0).view(640, 480).unwrap();
         let (offset, focus) = (DVec2::new(0.03, -0.02), 2.5);
         let beside = view.from_lens(offset, focus);
         for depth in [1.0, focus, 10.0, 1e6] {

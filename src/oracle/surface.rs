@@ -434,14 +434,12 @@ fn uv_footprint(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::{Camera, Lens};
+    use crate::math::Camera;
 
     #[test]
     fn uv_derivatives_are_those_of_the_projection() {
         let (eye, target) = (DVec3::new(1.0, 2.0, 4.0), DVec3::ZERO);
-        let view = Camera { eye, target, up: DVec3::Y, lens: Lens::Perspective { fov_deg: 50.0 } }
-            .view(64, 48)
-            .unwrap();
+        let view = Camera::perspective(eye, target, 50.0).view(64, 48).unwrap();
         let corners = [[-3.0, 0.0, -6.0], [2.0, -0.5, 2.0], [0.0, 3.0, -1.0]];
         let seen =
             SeenTriangle::new(corners.map(|c| view.to_view(c.into())), view.projection).unwrap();

@@ -5,15 +5,10 @@ use glam::{DAffine3, DVec2, DVec3};
 use super::visibility::{SeenTriangle, pixel_ray};
 use super::*;
 use crate::assets::{Mesh, MeshPart, PointCloud};
-use crate::math::{Camera, Lens};
+use crate::math::Camera;
 
 pub fn camera(eye: [f64; 3], target: [f64; 3], fov_deg: f64) -> Camera {
-    Camera {
-        eye: eye.into(),
-        target: target.into(),
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg },
-    }
+    Camera::perspective(eye.into(), target.into(), fov_deg)
 }
 
 pub fn mesh(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> Mesh {

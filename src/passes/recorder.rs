@@ -313,6 +313,15 @@ impl<'a, 'c> Recorder<'a, 'c> {
         constants
     }
 
+    /// Records a compute pass that is launched once for the whole frame, with the default fragments.
+    pub fn compute_once(
+        &mut self,
+        constants: Constants,
+        launch: Launch,
+    ) -> Result<(), ShaderError> {
+        self.compute(Call { choices: Choices::default(), constants, segments: &[None], launch })
+    }
+
     /// Records a compute pass.
     pub fn compute(&mut self, call: Call) -> Result<(), ShaderError> {
         let Call { choices, constants, segments, launch } = call;

@@ -85,15 +85,10 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
-    use crate::math::{Bounds, Camera, Lens};
+    use crate::math::{Bounds, Camera};
 
     fn view(eye: DVec3, side: u32) -> View {
-        let camera = Camera {
-            eye,
-            target: eye - DVec3::Z,
-            up: DVec3::Y,
-            lens: Lens::Perspective { fov_deg: 45.0 },
-        };
+        let camera = Camera::perspective(eye, eye - DVec3::Z, 45.0);
         camera.view(side, side).unwrap()
     }
 

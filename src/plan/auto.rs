@@ -221,16 +221,11 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
-    use crate::math::{Camera, Lens};
+    use crate::math::Camera;
 
     fn view(distance: f64, height: u32) -> View {
         let eye = DVec3::new(0.0, 0.0, distance);
-        let camera = Camera {
-            eye,
-            target: DVec3::ZERO,
-            up: DVec3::Y,
-            lens: Lens::Perspective { fov_deg: 53.130_102 },
-        };
+        let camera = Camera::perspective(eye, DVec3::ZERO, 53.130_102);
         camera.view(height * 4 / 3, height).unwrap()
     }
 

@@ -139,7 +139,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::math::{Camera, Lens};
+    use crate::math::Camera;
 
     fn sun(direction: DVec3) -> Light {
         Light::Sun {
@@ -150,8 +150,7 @@ mod tests {
     }
 
     fn camera(eye: DVec3, target: DVec3, fov_deg: f64) -> View {
-        let lens = Lens::Perspective { fov_deg };
-        Camera { eye, target, up: DVec3::Y, lens }.view(640, 480).unwrap()
+        Camera::perspective(eye, target, fov_deg).view(640, 480).unwrap()
     }
 
     fn place() -> impl Strategy<Value = DVec3> {

@@ -162,8 +162,7 @@ fn patches_keep_nobody_waiting() {
 
 #[test]
 fn removing_a_scene_frees_its_memory() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     studio.frame(&front("solid", 40, 40));
     let resident = || studio.engine.stats().gpu_bytes_resident;
     assert!(studio.engine.scene("solid").unwrap().resident, "known as soon as a frame is there");
@@ -210,8 +209,7 @@ fn a_name_used_again_never_shows_the_scene_before() {
 
 #[test]
 fn nothing_to_see_is_all_background() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     studio.load_json(
         "empty",
         &json!({

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use pointillist::engine::{FrameRequest, Pose};
-use pointillist::math::{Camera, Lens};
+use pointillist::math::Camera;
 use pointillist::plan::{ColorBy, Lod, Output, Reconstruct, Settings};
 use pointillist::scene::Filter;
 use pointillist::scene::random::SplitMix64;
@@ -37,12 +37,7 @@ const SIDE: u32 = 120;
 fn seen(studio: &Studio, scene: &str, distance: f64, settings: Settings) -> Vec<bool> {
     let color_by = if settings.lod == Lod::Spt { ColorBy::Levels } else { settings.color_by };
     let settings = Settings { color_by, ..settings };
-    let camera = Camera {
-        eye: DVec3::Z * distance,
-        target: DVec3::ZERO,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 40.0 },
-    };
+    let camera = Camera::perspective(DVec3::Z * distance, DVec3::ZERO, 40.0);
     let request = FrameRequest {
         pose: Pose::Camera(camera),
         settings,
@@ -166,12 +161,7 @@ fn randomly_sampled_surfaces_hide_what_is_behind_them() {
         studio.write("ball.ply", cloud(points));
         studio.load_json("ball", &cloud_scene("ball.ply"));
         for way in [DVec3::Z, DVec3::new(0.3, 0.0, 1.0), DVec3::new(-0.2, -0.3, 1.0)] {
-            let camera = Camera {
-                eye: way.normalize_or(DVec3::Z) * 1.6,
-                target: DVec3::ZERO,
-                up: DVec3::Y,
-                lens: Lens::Perspective { fov_deg: 40.0 },
-            };
+            let camera = Camera::perspective(way.normalize_or(DVec3::Z) * 1.6, DVec3::ZERO, 40.0);
             let settings =
                 Settings { filter: Some(Filter::Exact), ..Settings::drawn_as(Reconstruct::Splats) };
             let request =

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use glam::DVec3;
 use pointillist::engine::{FrameRequest, Pose};
-use pointillist::math::{Camera, Lens};
+use pointillist::math::Camera;
 use pointillist::plan::{Output, Reconstruct, Settings};
 use pointillist::scene::color::linear_from_srgb;
 use pointillist::scene::random::SplitMix64;
@@ -117,12 +117,7 @@ fn what_has_appeared_stays() {
         let mut before = BTreeSet::new();
         for distance in [2400.0, 1600.0, 1100.0, 800.0, 600.0, 450.0, 350.0, 250.0, 160.0] {
             let eye = DVec3::new(0.0, 0.0, distance);
-            let camera = Camera {
-                eye,
-                target: DVec3::ZERO,
-                up: DVec3::Y,
-                lens: Lens::Perspective { fov_deg: 40.0 },
-            };
+            let camera = Camera::perspective(eye, DVec3::ZERO, 40.0);
             let request = FrameRequest {
                 pose: Pose::Camera(camera),
                 settings: spt(1.0, reconstruct),
@@ -161,12 +156,7 @@ fn points_of_a_mesh_reach_no_farther_than_its_triangles() {
         let seen = |settings| {
             let eye = DVec3::new(0.2, 0.1, 1.0).normalize_or(DVec3::Z)
                 * (180.0 + 3.7 * f64::from(number));
-            let camera = Camera {
-                eye,
-                target: DVec3::ZERO,
-                up: DVec3::Y,
-                lens: Lens::Perspective { fov_deg: 5.0 },
-            };
+            let camera = Camera::perspective(eye, DVec3::ZERO, 5.0);
             let request = FrameRequest {
                 pose: Pose::Camera(camera),
                 settings,

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use glam::{DAffine3, DVec3};
 use pointillist::engine::{FrameRequest, NodePatch, Pose};
-use pointillist::math::{Camera, Lens};
+use pointillist::math::Camera;
 use pointillist::plan::{Lod, MaxError, Output, Reconstruct, Settings};
 use pointillist::scene::random::SplitMix64;
 use serde_json::{Value, json};
@@ -75,12 +75,7 @@ fn looks(studio: &Studio, scene: &str) -> Vec<Vec<u8>> {
                 reconstruct,
                 ..Settings::default()
             };
-            let camera = Camera {
-                eye,
-                target: centre,
-                up: DVec3::Y,
-                lens: Lens::Perspective { fov_deg: 50.0 },
-            };
+            let camera = Camera::perspective(eye, centre, 50.0);
             let request = front(scene, side, side);
             let pose = Pose::Camera(camera);
             found.push(studio.bytes(&FrameRequest { pose, output, settings, ..request }));

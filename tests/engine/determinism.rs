@@ -25,8 +25,7 @@ fn mixed() -> Vec<pointillist::engine::FrameRequest> {
 
 #[test]
 fn the_same_request_twice_and_in_a_fresh_engine() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let requests = mixed();
     let first: Vec<Vec<u8>> = requests.iter().map(|request| studio.bytes(request)).collect();
     for (request, bytes) in requests.iter().zip(&first) {
@@ -111,8 +110,7 @@ fn views_that_share_passes_change_no_frame() {
 #[test]
 fn identical_requests_are_drawn_once() {
     const ASKED: u64 = 24;
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let mut request = front("solid", 300, 200);
     request.format = ImageFormat::Png;
     let expected = studio.bytes(&request);
@@ -142,8 +140,7 @@ fn identical_requests_are_drawn_once() {
 #[test]
 fn frames_show_what_they_should() {
     // The other tests only compare frames with each other. This one looks at a frame's content.
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let mut request = front("solid", 64, 64);
     request.output = Output::Id;
     let ids: Vec<u32> = studio

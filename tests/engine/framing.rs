@@ -158,12 +158,10 @@ fn odd_scenes_have_a_default_view() {
 
 #[test]
 fn a_frame_that_shows_nothing_says_why() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let looking = |scene: &str, target: [f64; 3], output| {
         let (eye, target) = (DVec3::new(0.0, 0.0, 4.0), DVec3::from_array(target));
-        let camera =
-            Camera { eye, target, up: DVec3::Y, lens: Lens::Perspective { fov_deg: 40.0 } };
+        let camera = Camera::perspective(eye, target, 40.0);
         let request = FrameRequest { pose: Pose::Camera(camera), ..fit(scene, 48, output) };
         let format = ImageFormat::Raw;
         studio.frame(&FrameRequest { format, ..request }).receipt.nothing_visible.clone()
@@ -181,8 +179,7 @@ fn a_frame_that_shows_nothing_says_why() {
 
 #[test]
 fn named_cameras_keep_their_width_in_narrow_frames() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let camera =
         |width, height| studio.frame(&front("solid", width, height)).receipt.camera.clone();
     assert_eq!(camera(64, 48).fov_deg, Some(45.0));

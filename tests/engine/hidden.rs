@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use glam::DVec3;
 use pointillist::engine::{FrameRequest, Pose};
-use pointillist::math::{Camera, Lens, Projection};
+use pointillist::math::{Camera, Projection};
 use pointillist::plan::{Antialias, Edl, ErrorMode, Output, Pass, Reconstruct, Settings};
 use pointillist::scene::{Blend, Filter, Shading};
 use serde_json::json;
@@ -146,12 +146,7 @@ fn views() -> Vec<FrameRequest> {
         ([0.0, 2.0, 30.0], [0.0, 40.0, 0.0], 60.0),
     ];
     let view = |(eye, target, fov_deg): ([f64; 3], [f64; 3], f64)| {
-        let camera = Camera {
-            eye: eye.into(),
-            target: target.into(),
-            up: DVec3::Y,
-            lens: Lens::Perspective { fov_deg },
-        };
+        let camera = Camera::perspective(eye.into(), target.into(), fov_deg);
         FrameRequest { pose: Pose::Camera(camera), ..front("rows", 170, 131) }
     };
     let mut views: Vec<FrameRequest> = looks.into_iter().map(view).collect();
@@ -301,12 +296,7 @@ fn a_wall_hides_what_is_behind_it() {
     studio.load_json("walled", &scene);
     scene["nodes"].as_array_mut().unwrap().pop();
     studio.load_json("open", &scene);
-    let camera = Camera {
-        eye: DVec3::new(0.0, 0.0, 16.0),
-        target: DVec3::ZERO,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 60.0 },
-    };
+    let camera = Camera::perspective(DVec3::new(0.0, 0.0, 16.0), DVec3::ZERO, 60.0);
     let tested = |id: &str| {
         let request = FrameRequest { pose: Pose::Camera(camera), ..front(id, 160, 160) };
         studio.frame(&request).receipt.triangles.tested.unwrap()
@@ -335,8 +325,7 @@ fn points_with_gaps_between_them_are_drawn_without_asking() {
         );
         studio
     });
-    let lens = Lens::Perspective { fov_deg: 40.0 };
-    let camera = Camera { eye: DVec3::new(0.0, 0.0, 4.0), target: DVec3::ZERO, up: DVec3::Y, lens };
+    let camera = Camera::perspective(DVec3::new(0.0, 0.0, 4.0), DVec3::ZERO, 40.0);
     for (width, height, asks) in [(160, 120, true), (960, 720, false)] {
         let settings = Settings { edl: Edl::Off, ..Settings::drawn_as(Reconstruct::Points) };
         let pose = Pose::Camera(camera);

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use pointillist::engine::{FrameRequest, Pose};
-use pointillist::math::{Camera, Lens};
+use pointillist::math::Camera;
 use pointillist::plan::Output;
 
 use super::studio::{Studio, depths, fit, same};
@@ -49,12 +49,7 @@ fn a_frame_with_too_many_is_drawn_again() {
         let studio = Studio::with(|config| config.force_32_bit = force_32_bit);
         studio.write("strips.ply", &text);
         studio.load("strips", "strips.ply");
-        let camera = Camera {
-            eye: DVec3::Z * DISTANCE,
-            target: DVec3::ZERO,
-            up: DVec3::Y,
-            lens: Lens::Perspective { fov_deg: 90.0 },
-        };
+        let camera = Camera::perspective(DVec3::Z * DISTANCE, DVec3::ZERO, 90.0);
         let request =
             FrameRequest { pose: Pose::Camera(camera), ..fit("strips", SIDE, Output::Depth) };
         let frame = studio.frame(&request);

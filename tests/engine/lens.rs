@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use pointillist::engine::{EngineError, FrameRequest, Pose};
-use pointillist::math::{Camera, Lens, Projection, View, exposures};
+use pointillist::math::{Camera, Projection, View, exposures};
 use pointillist::plan::{BlurSamples, Output, Pass, Reconstruct, Settings};
 use pointillist::scene::color::{linear_from_srgb, srgb_from_linear};
 use serde_json::json;
@@ -12,12 +12,7 @@ use super::studio::{Studio, etag, front, same, spt};
 const LENS: f64 = 0.3;
 
 fn camera(x: f64) -> Camera {
-    Camera {
-        eye: DVec3::new(x, 0.3, 4.0),
-        target: DVec3::new(x, 0.0, 0.0),
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 45.0 },
-    }
+    Camera::perspective(DVec3::new(x, 0.3, 4.0), DVec3::new(x, 0.0, 0.0), 45.0)
 }
 
 /// A frame through a lens whose plane of focus is 3 units away.
@@ -96,8 +91,7 @@ fn frames_are_the_means_of_their_exposures() {
 /// Exposures of a frame share dispatches with each other, and never with those of another frame.
 #[test]
 fn a_batch_changes_no_blurred_frame() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let requests: Vec<FrameRequest> = [1.0, 2.0, 3.0, 6.0]
         .into_iter()
         .flat_map(|focus: f64| {
@@ -128,8 +122,7 @@ fn a_batch_changes_no_blurred_frame() {
 /// Exposures are submitted part by part, so that a frame ends soon after its last client has gone.
 #[test]
 fn a_blurred_frame_ends_when_nobody_waits_for_it() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let lens = through_lens("solid", Settings::drawn_as(Reconstruct::Points));
     let blur_samples = BlurSamples::Exposures128;
     let long = FrameRequest {
@@ -199,8 +192,7 @@ fn an_edge_becomes_a_ramp_while_the_camera_moves() {
 /// A shutter changes nothing where no path moves the camera, and a lens nothing of what has no colours.
 #[test]
 fn blur_without_a_cause_changes_no_byte() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let plain = front("solid", 96, 70);
     let sharp = studio.frame(&plain);
     let why = |frame: &pointillist::engine::EncodedFrame| {
@@ -231,8 +223,7 @@ fn blur_without_a_cause_changes_no_byte() {
 
 #[test]
 fn receipts_say_what_is_sharp_and_count_all_exposures() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let plain = FrameRequest { pose: Pose::Camera(camera(0.0)), ..front("cloud", 64, 48) };
     let lens = Settings { aperture: 0.1.into(), ..plain.settings };
     let frame = studio.frame(&FrameRequest { settings: lens, ..plain.clone() });
@@ -305,8 +296,7 @@ fn what_has_no_lens_or_too_many_exposures_is_refused() {
 /// With a lens and a moving camera, each exposure has its own time and its own point of the lens.
 #[test]
 fn lens_and_shutter_go_together() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let lens = through_lens("solid", Settings::drawn_as(Reconstruct::Points));
     let exposed: Vec<Camera> = exposures(32).map(|one| camera(0.5 * one.time)).collect();
     let settings = Settings { shutter: 1.0.into(), ..lens.settings };

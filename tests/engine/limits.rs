@@ -9,12 +9,7 @@ use pointillist::plan::{Antialias, Output, Settings};
 use super::studio::{Studio, front};
 
 fn camera() -> Camera {
-    Camera {
-        eye: DVec3::Z * 3.0,
-        target: DVec3::ZERO,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 45.0 },
-    }
+    Camera::perspective(DVec3::Z * 3.0, DVec3::ZERO, 45.0)
 }
 
 #[test]
@@ -83,8 +78,7 @@ fn a_limit_of_the_adapter_is_told_apart_from_one_of_the_settings() {
 
 #[test]
 fn the_largest_frame_is_drawn() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let limits = studio.engine.limits();
     let side = limits.max_side;
     let other = (limits.max_pixels / u64::from(side)) as u32;
@@ -97,8 +91,7 @@ fn the_largest_frame_is_drawn() {
 
 #[test]
 fn poses_that_are_none() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let bad = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY];
     let mut poses = vec![
         (Pose::Camera(Camera { target: DVec3::Z * 3.0, ..camera() }), "target"),
@@ -176,8 +169,7 @@ fn poses_that_are_none() {
 
 #[test]
 fn odd_poses_are_drawn() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     for pose in [
         // Looking along `up`; almost nothing in view; almost everything in view; very near; inside; far away.
         Camera { up: DVec3::Z, ..camera() },

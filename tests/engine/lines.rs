@@ -5,7 +5,7 @@ use std::fmt::Write;
 use glam::DVec3;
 use pointillist::engine::pick::{HitKind, request_of};
 use pointillist::engine::{Client, FrameRequest, Pose};
-use pointillist::math::{Camera, Lens};
+use pointillist::math::Camera;
 use pointillist::plan::{Output, Pass, Reconstruct, Settings};
 use pointillist::scene::color::linear_from_srgb;
 use pointillist::scene::random::SplitMix64;
@@ -237,12 +237,7 @@ fn sheaves(studio: &Studio, places: &[[f64; 3]], radius: f64) {
 fn look_at_sheaf(distance: f64, settings: Settings) -> FrameRequest {
     let settings = Settings { line_width_px: 0.0.into(), ..settings };
     let eye = DVec3::new(0.8, 0.3, 0.5).normalize_or(DVec3::Z) * distance;
-    let camera = Camera {
-        eye,
-        target: DVec3::ZERO,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 40.0 },
-    };
+    let camera = Camera::perspective(eye, DVec3::ZERO, 40.0);
     FrameRequest { settings, pose: Pose::Camera(camera), ..front("sheaf", 256, 256) }
 }
 

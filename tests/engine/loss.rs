@@ -8,8 +8,7 @@ use super::studio::{Studio, eventually, front, orbit, same};
 
 #[test]
 fn an_idle_engine_recovers() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let requests: Vec<_> =
         (0..6).map(|number| orbit(["solid", "cloud"][number as usize % 2], number, 100)).collect();
     let before: Vec<_> = requests.iter().map(|request| studio.bytes(request)).collect();
@@ -37,8 +36,7 @@ fn an_idle_engine_recovers() {
 
 #[test]
 fn frames_in_flight_are_drawn_again() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let requests: Vec<_> = (0..10)
         .map(|number| orbit(["solid", "cloud"][number as usize % 2], number, 400 + 30 * number))
         .collect();
@@ -67,8 +65,7 @@ fn frames_in_flight_are_drawn_again() {
 /// Frames that the device refuses, even because of its first buffers, are drawn by the next device.
 #[test]
 fn a_device_lost_before_its_first_frame() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let request = front("solid", 90, 70);
     let before = Studio::new();
     before.load_two();
@@ -83,8 +80,7 @@ fn a_device_lost_before_its_first_frame() {
 /// A submission that the driver refuses fails only its own frames, and no frame shows another's pixels.
 #[test]
 fn a_refused_submission_costs_its_own_frames_alone() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     // The frames are so large that each is a batch by itself. Two are in flight at a time.
     let requests: Vec<_> = (0..6).map(|number| orbit("solid", number, 1100)).collect();
     let before: Vec<_> = requests.iter().map(|request| studio.bytes(request)).collect();
@@ -116,8 +112,7 @@ fn a_refused_submission_costs_its_own_frames_alone() {
 
 #[test]
 fn a_render_thread_that_ends_is_told() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     studio.frame(&front("solid", 20, 20));
     studio.engine.break_render_thread();
     eventually("the failure", || studio.engine.readiness() == Readiness::Failed);

@@ -152,8 +152,7 @@ fn what_can_never_fit_is_refused_at_once() {
 
 #[test]
 fn failed_loads_leave_nothing_behind() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let request = front("solid", 90, 70);
     let expected = studio.bytes(&request);
     let before = studio.engine.stats();

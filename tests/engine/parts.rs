@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use pointillist::encode::ImageFormat;
 use pointillist::engine::{EncodedFrame, EngineError, FrameRequest, Pose};
-use pointillist::math::{Camera, Lens, Projection};
+use pointillist::math::{Camera, Projection};
 use pointillist::plan::{Edl, Effect, Given, ImagePart, Lod, Output, Reconstruct, Settings};
 
 use super::studio::{Studio, etag, front};
@@ -122,14 +122,8 @@ fn parts_are_drawn_alike() {
 /// An image of more pixels than a frame may have, and a part of it at the far corner.
 #[test]
 fn images_may_be_larger_than_frames() {
-    let studio = Studio::new();
-    studio.load_two();
-    let camera = Camera {
-        eye: [0.0, 0.0, 4.0].into(),
-        target: [0.0; 3].into(),
-        up: [0.0, 1.0, 0.0].into(),
-        lens: Lens::Perspective { fov_deg: 45.0 },
-    };
+    let studio = Studio::with_two();
+    let camera = Camera::perspective([0.0, 0.0, 4.0].into(), [0.0; 3].into(), 45.0);
     let whole = FrameRequest { pose: Pose::Camera(camera), ..front("solid", 65536, 65536) };
     assert!(matches!(studio.engine.submit(whole.clone()), Err(EngineError::OverLimit { .. })));
     // The middle of the wall, where neighbouring parts meet: no background shines through.
@@ -181,8 +175,7 @@ fn effects_are_those_of_the_whole_image() {
 /// Settings that are chosen for a goal would be chosen for each part.
 #[test]
 fn goals_are_refused_for_parts() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let mut request = part(&front("solid", 100, 80), [0, 0], [10, 10]);
     request.settings = Settings { part_of: request.settings.part_of, ..goal() };
     let refused = studio.engine.submit(request).err().map(|error| error.to_string());
@@ -197,8 +190,7 @@ fn goal() -> Settings {
 
 #[test]
 fn parts_beyond_the_image_are_refused() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let whole = front("solid", 100, 80);
     let refused = |request: FrameRequest| match studio.engine.submit(request) {
         Err(EngineError::BadParameter { parameter, reason, .. }) => {
@@ -212,12 +204,7 @@ fn parts_beyond_the_image_are_refused() {
     assert!(refused(part(&whole, [0, 79], [10, 2])).contains("80 rows"));
     let view = whole.clone();
     let Pose::Named(_) = &view.pose else { panic!("no camera") };
-    let camera = Camera {
-        eye: [0.0, 0.0, 4.0].into(),
-        target: [0.0; 3].into(),
-        up: [0.0, 1.0, 0.0].into(),
-        lens: Lens::Perspective { fov_deg: 45.0 },
-    };
+    let camera = Camera::perspective([0.0, 0.0, 4.0].into(), [0.0; 3].into(), 45.0);
     let by_view = FrameRequest { pose: Pose::View(camera.view(10, 10).unwrap()), ..whole.clone() };
     assert!(refused(part(&by_view, [0, 0], [10, 10])).contains("`proj`"));
     // Parts have entity tags of their own; the format stays what it was.

@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 use pointillist::engine::pick::{HitKind, Pick, request_of};
 use pointillist::engine::{Client, EngineError, FrameRequest, Pose};
-use pointillist::math::{Camera, Lens, Projection};
+use pointillist::math::{Camera, Projection};
 use pointillist::plan::{Lod, Output, Pass, Reconstruct, Settings};
 use serde_json::json;
 
@@ -120,12 +120,7 @@ fn picks_of_a_survey_are_exact() {
     studio.write("ground.ply", cloud(places.iter().map(|&at| (at, [200, 100, 50]))));
     studio.load("ground", "ground.ply");
     let middle = base + DVec3::new(2.0, 2.0, 0.0);
-    let camera = Camera {
-        eye: middle + DVec3::new(0.3, -0.4, 6.0),
-        target: middle,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 40.0 },
-    };
+    let camera = Camera::perspective(middle + DVec3::new(0.3, -0.4, 6.0), middle, 40.0);
     let request = FrameRequest { pose: Pose::Camera(camera), ..front("ground", 64, 60) };
     let mut hits = 0;
     for hit in picks(&studio, &request, &every_pixel(&request)).into_iter().filter_map(|p| p.hit) {
@@ -161,12 +156,7 @@ fn a_pick_of_a_triangle_lies_on_its_ray_and_its_plane() {
                         "translate": base.to_array() }],
         }),
     );
-    let camera = Camera {
-        eye: base + DVec3::new(0.2, 0.1, 3.0),
-        target: base,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 40.0 },
-    };
+    let camera = Camera::perspective(base + DVec3::new(0.2, 0.1, 3.0), base, 40.0);
     let request = FrameRequest { pose: Pose::Camera(camera), ..front("tilted", 64, 48) };
     let view = camera.view(64, 48).unwrap();
     let normal = DMat3::from_rotation_x(30f64.to_radians()) * DVec3::Z;
@@ -220,8 +210,7 @@ fn a_pick_names_the_nodes_above_an_instance() {
 
 #[test]
 fn pixels_outside_the_frame_are_refused() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let request = request_of(front("cloud", 60, 50));
     let frame = studio.engine.resolve_blocking(request).unwrap();
     let refused = |pixels: Vec<[u32; 2]>| match studio.engine.pick(Client::Unnamed, &frame, pixels)

@@ -7,7 +7,7 @@ use pointillist::bake::cache::BakeCache;
 use pointillist::engine::{
     Client, FrameRequest, MovingFrame, NodePatch, Pose, Receipt, Resolution,
 };
-use pointillist::math::{Camera, Lens};
+use pointillist::math::Camera;
 use pointillist::plan::planner::{Measured, MeasuredPose, MeasuredRow, Moving, Point};
 use pointillist::plan::{Given, Lod, Output, Reconstruct, Settings};
 
@@ -264,12 +264,7 @@ fn a_film_keeps_its_goal_with_one_setting() {
     let studio = studio();
     studio.engine.learn("cloud", measured()).unwrap();
     let at = |z: f64| {
-        let camera = Camera {
-            eye: glam::DVec3::new(0.0, 0.0, z),
-            target: glam::DVec3::ZERO,
-            up: glam::DVec3::Y,
-            lens: Lens::Perspective { fov_deg: 45.0 },
-        };
+        let camera = Camera::perspective(glam::DVec3::new(0.0, 0.0, z), glam::DVec3::ZERO, 45.0);
         FrameRequest { pose: Pose::Camera(camera), ..asking(&[("min_psnr_db", "28")]) }
     };
     let frames = [at(2.0), at(3.0), at(30.0)];

@@ -39,8 +39,7 @@ fn a_full_queue_refuses_and_says_when_to_come_back() {
 
 #[test]
 fn late_frames_are_not_drawn() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let late = FrameRequest { deadline: Some(Instant::now()), ..front("solid", 60, 60) };
     let before = studio.engine.stats();
     for _ in 0..3 {
@@ -59,8 +58,7 @@ fn late_frames_are_not_drawn() {
 
 #[test]
 fn the_most_patient_of_those_who_share_a_frame_decides() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let busy = studio.keep_busy("cloud");
     // Nothing was measured yet, so the engine does not know how long these frames take.
     let soon = Instant::now() + Duration::from_millis(150);
@@ -74,8 +72,7 @@ fn the_most_patient_of_those_who_share_a_frame_decides() {
 #[test]
 fn abandoned_frames_are_not_drawn() {
     const ASKED: u32 = 30;
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let mut cancelled = 0;
     for _ in 0..10 {
         let before = studio.engine.stats();
@@ -102,8 +99,7 @@ fn abandoned_frames_are_not_drawn() {
 
 #[test]
 fn draining_keeps_promises_and_makes_no_new_ones() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let tickets: Vec<_> =
         (0..12).map(|number| studio.submit(&orbit("solid", number, 300))).collect();
     let engine = studio.engine.clone();
@@ -119,8 +115,7 @@ fn draining_keeps_promises_and_makes_no_new_ones() {
 
 #[test]
 fn dropping_the_engine_keeps_promises_too() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let tickets: Vec<_> =
         (0..6).map(|number| studio.submit(&orbit("solid", number, 200))).collect();
     drop(studio);
@@ -141,8 +136,7 @@ fn replace(slot: &mut LatestSlot, studio: &Studio, number: u32) -> Option<FrameT
 
 #[test]
 fn a_latest_slot_draws_the_newest_and_answers_those_before() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let mut overtaken = 0;
     // The render thread may take the slot's request before it is replaced, but not ten times.
     for round in 0..10 {
@@ -171,8 +165,7 @@ fn a_latest_slot_draws_the_newest_and_answers_those_before() {
 
 #[test]
 fn whoever_shares_an_overtaken_frame_still_gets_it() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     for _ in 0..10 {
         let (mut slot, mut other) = (
             studio.engine.latest_slot(Client::Unnamed),

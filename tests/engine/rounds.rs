@@ -3,7 +3,7 @@
 
 use glam::DVec3;
 use pointillist::engine::{FrameRequest, Pose};
-use pointillist::math::{Camera, Lens};
+use pointillist::math::Camera;
 use pointillist::plan::{Output, Reconstruct, Settings};
 use pointillist::scene::Blend;
 use serde_json::json;
@@ -17,12 +17,7 @@ const PER_ROW: u32 = 64;
 const SHEETS: u32 = 600;
 
 fn before(scene: &str, side: u32, settings: Settings, output: Output) -> FrameRequest {
-    let camera = Camera {
-        eye: DVec3::Z,
-        target: DVec3::ZERO,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 90.0 },
-    };
+    let camera = Camera::perspective(DVec3::Z, DVec3::ZERO, 90.0);
     FrameRequest { settings, output, pose: Pose::Camera(camera), ..front(scene, side, side) }
 }
 
@@ -101,12 +96,7 @@ fn large_triangles_and_splats_one_before_the_other() {
     // From both sides: in whatever order the sheets are listed, in one of both cases the nearest one is not among the first.
     for (eye, sheet) in [(DVec3::Z, SHEETS - 1), (DVec3::Z * -2.0, 0)] {
         let nearest = (eye.z - sheet_z(sheet)).abs() as f32;
-        let camera = Camera {
-            eye,
-            target: DVec3::ZERO,
-            up: DVec3::Y,
-            lens: Lens::Perspective { fov_deg: 60.0 },
-        };
+        let camera = Camera::perspective(eye, DVec3::ZERO, 60.0);
         for (scene, settings) in
             [("sheets", Settings::drawn_as(Reconstruct::Points)), ("disks", opaque)]
         {

@@ -176,12 +176,7 @@ fn another_up_direction_has_other_tags() {
         settings: Settings { color_by: ColorBy::Height, ..fit("x", 64, Output::Color).settings },
         ..seen_from_fixed("x")
     };
-    let pose = Pose::Camera(Camera {
-        eye: DVec3::new(1.0, 2.0, 7.0),
-        target: DVec3::ZERO,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 40.0 },
-    });
+    let pose = Pose::Camera(Camera::perspective(DVec3::new(1.0, 2.0, 7.0), DVec3::ZERO, 40.0));
     let request = FrameRequest { pose, ..request };
     let seen = [DVec3::X, DVec3::Y].map(|up| {
         let source = Source { up: Some(up), ..Source::at(studio.folder().join("cloud.ply")) };

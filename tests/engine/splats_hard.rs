@@ -68,7 +68,7 @@ pub fn request(
 }
 
 fn looking(eye: DVec3, target: DVec3, fov_deg: f64) -> Pose {
-    Pose::Camera(Camera { eye, target, up: DVec3::Y, lens: Lens::Perspective { fov_deg } })
+    Pose::Camera(Camera::perspective(eye, target, fov_deg))
 }
 
 fn one_cloud(file: &str, lights: Value) -> Value {
@@ -735,12 +735,11 @@ fn no_splat_is_dropped_without_being_counted() {
         studio.write(&format!("{id}.ply"), disks(&list));
         studio.load_json(&id, &one_cloud(&format!("{id}.ply"), json!([])));
         for _ in 0..6 {
-            let camera = Camera {
-                eye: DVec3::new(random.bell(), random.bell(), random.bell()) * 1.5,
-                target: DVec3::new(0.1, 0.2, 0.3),
-                up: DVec3::Y,
-                lens: Lens::Perspective { fov_deg: random.range(20.0, 100.0) },
-            };
+            let camera = Camera::perspective(
+                DVec3::new(random.bell(), random.bell(), random.bell()) * 1.5,
+                DVec3::new(0.1, 0.2, 0.3),
+                random.range(20.0, 100.0),
+            );
             let way = weighted(Filter::Affine, false);
             let frame = studio.frame(&request(&id, Pose::Camera(camera), way, Output::Depth, SIZE));
             let found = frame.receipt.splats;

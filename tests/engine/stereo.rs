@@ -9,12 +9,7 @@ use serde_json::json;
 use super::studio::{Studio, etag, front, same, wall};
 
 fn camera() -> Camera {
-    Camera {
-        eye: DVec3::new(0.0, 0.3, 4.0),
-        target: DVec3::ZERO,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 45.0 },
-    }
+    Camera::perspective(DVec3::new(0.0, 0.3, 4.0), DVec3::ZERO, 45.0)
 }
 
 fn request(settings: Settings) -> FrameRequest {
@@ -27,8 +22,7 @@ fn view() -> View {
 
 #[test]
 fn images_are_those_of_skewed_frusta() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     for (offset, at) in [(-0.4, None), (0.4, None), (0.25, Some(2.0))] {
         let plain = Settings::drawn_as(Reconstruct::Points);
         let shifted = plain.shifted(offset);
@@ -104,8 +98,7 @@ fn both_images_are_drawn_alike() {
 
 #[test]
 fn cameras_without_such_images_are_refused() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let refused = |request: FrameRequest| match studio.engine.resolve_blocking(request) {
         Err(EngineError::BadParameter { parameter, reason, .. }) => (parameter, reason),
         other => panic!("{:?}", other.map(|_| ())),

@@ -10,7 +10,7 @@ use pointillist::encode::ImageFormat;
 use pointillist::engine::{
     EncodedFrame, Engine, EngineConfig, EngineError, FrameRequest, FrameTicket, Pose, SceneInfo,
 };
-use pointillist::math::{Camera, Lens};
+use pointillist::math::Camera;
 use pointillist::plan::{Lod, MaxError, Output, Reconstruct, Settings};
 use serde_json::{Value, json};
 
@@ -27,6 +27,13 @@ pub struct Studio {
 impl Studio {
     pub fn new() -> Studio {
         Studio::with(|_| {})
+    }
+
+    /// An engine with the scenes of [`Studio::load_two`].
+    pub fn with_two() -> Studio {
+        let studio = Studio::new();
+        studio.load_two();
+        studio
     }
 
     pub fn with(adjust: impl FnOnce(&mut EngineConfig)) -> Studio {
@@ -168,12 +175,11 @@ pub fn fit(scene: &str, side: u32, output: Output) -> FrameRequest {
 /// One of many different views of a scene around the origin.
 pub fn orbit(scene: &str, number: u32, side: u32) -> FrameRequest {
     let angle = 0.37 * f64::from(number);
-    let camera = Camera {
-        eye: DVec3::new(3.0 * angle.sin(), 0.4, 3.0 * angle.cos()),
-        target: DVec3::ZERO,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 45.0 },
-    };
+    let camera = Camera::perspective(
+        DVec3::new(3.0 * angle.sin(), 0.4, 3.0 * angle.cos()),
+        DVec3::ZERO,
+        45.0,
+    );
     FrameRequest { pose: Pose::Camera(camera), ..front(scene, side, side) }
 }
 

@@ -12,12 +12,7 @@ use serde_json::json;
 use super::studio::{OUTPUTS, Studio, cloud_scene, disk_sphere, disks, front, same, sphere};
 
 fn camera() -> Camera {
-    Camera {
-        eye: DVec3::new(0.0, 0.0, 3.0),
-        target: DVec3::ZERO,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 45.0 },
-    }
+    Camera::perspective(DVec3::new(0.0, 0.0, 3.0), DVec3::ZERO, 45.0)
 }
 
 /// A single pass that overflows is replaced by three, which may have ambient occlusion where the single pass has none.
@@ -47,8 +42,7 @@ fn ambient_occlusion_is_in_the_tag_of_frames_that_may_have_it() {
 
 #[test]
 fn every_parameter_changes_the_tag() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let base = FrameRequest { pose: Pose::Camera(camera()), ..front("cloud", 128, 96) };
     let with = |adjust: &dyn Fn(&mut FrameRequest)| {
         let mut request = base.clone();
@@ -97,8 +91,7 @@ type Case<'a> = (&'a str, &'a [(&'a str, &'a str)], &'a [Output]);
 /// Tags and receipts ask the output and the scene, so that clients keep frames whose pixels cannot have changed.
 #[test]
 fn settings_without_effect_leave_the_tag_as_it_is() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     studio.write("plain.ply", sphere(8));
     studio.load_json("mesh", &cloud_scene("plain.ply"));
     let with = |scene: &str, output, pairs: &[(&str, &str)]| {
@@ -144,8 +137,7 @@ fn settings_without_effect_leave_the_tag_as_it_is() {
 
 #[test]
 fn quality_is_for_jpeg() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let tag = |format, quality| {
         let request = FrameRequest { format, quality, ..front("cloud", 64, 64) };
         super::studio::etag(&studio.engine, &request).unwrap()
@@ -156,8 +148,7 @@ fn quality_is_for_jpeg() {
 
 #[test]
 fn equal_views_have_equal_tags_and_bytes() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let requests = [
         front("cloud", 128, 96),
         FrameRequest { pose: Pose::Camera(camera()), ..front("cloud", 128, 96) },
@@ -202,8 +193,7 @@ fn equal_views_have_equal_tags_and_bytes() {
 
 #[test]
 fn content_and_revision_change_the_tag() {
-    let studio = Studio::new();
-    studio.load_two();
+    let studio = Studio::with_two();
     let request = front("cloud", 64, 64);
     let first = super::studio::etag(&studio.engine, &request).unwrap();
     let hide = NodePatch { visible: Some(false), ..NodePatch::default() };

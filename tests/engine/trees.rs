@@ -10,7 +10,7 @@ use pointillist::bake::prepare::{AssetTraits, prepare_geometry};
 use pointillist::bake::tree::{SIDEWAYS, Seen, UNTILTED, build_tree, is_drawn};
 use pointillist::engine::{FrameRequest, NodePatch, Pose};
 use pointillist::generate::{Kind, Parameters, generate, write};
-use pointillist::math::{Camera, Lens};
+use pointillist::math::Camera;
 use pointillist::plan::{ErrorMode, Output, Reconstruct, Settings, Shadows};
 use serde_json::{Value, json};
 
@@ -33,12 +33,7 @@ fn full(reconstruct: Reconstruct) -> Settings {
 fn seen(scene: &str, number: u32, distance: f64, side: u32) -> FrameRequest {
     let (turn, lift) = (1.1 * f64::from(number), (0.7 * f64::from(number)).sin());
     let eye = DVec3::new(turn.sin(), lift, turn.cos()).normalize_or(DVec3::Z) * distance;
-    let camera = Camera {
-        eye,
-        target: DVec3::ZERO,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 40.0 },
-    };
+    let camera = Camera::perspective(eye, DVec3::ZERO, 40.0);
     let request = front(scene, side, side);
     FrameRequest { pose: Pose::Camera(camera), output: Output::Depth, ..request }
 }
@@ -501,22 +496,12 @@ fn a_list_that_is_too_short_grows() {
     let scene = json!({ "assets": { "g": { "file": "ball.ply" } }, "nodes": [node] });
     studio.load_json("many", &scene);
     let settings = spt(0.05, Reconstruct::Points);
-    let camera = Camera {
-        eye: DVec3::new(0.1, 8.0, 0.1),
-        target: DVec3::ZERO,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 60.0 },
-    };
+    let camera = Camera::perspective(DVec3::new(0.1, 8.0, 0.1), DVec3::ZERO, 60.0);
     let request = FrameRequest { settings, pose: Pose::Camera(camera), ..front("many", 256, 256) };
     let frame = studio.frame(&request);
     assert_eq!(frame.receipt.instances.drawn, Some(40_000), "{:?}", frame.receipt.instances);
     // From afar a few nodes represent everything.
-    let camera = Camera {
-        eye: DVec3::new(0.1, 4000.0, 0.1),
-        target: DVec3::ZERO,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 60.0 },
-    };
+    let camera = Camera::perspective(DVec3::new(0.1, 4000.0, 0.1), DVec3::ZERO, 60.0);
     let settings = spt(1.0, Reconstruct::Points);
     let request = FrameRequest { settings, pose: Pose::Camera(camera), ..front("many", 256, 256) };
     let frame = studio.frame(&request);
@@ -557,12 +542,7 @@ fn what_is_smaller_than_a_pixel_is_as_bright_as_it_is() {
     });
     studio.load_json("field", &field);
     let eye = DVec3::new(300.0, 160.0, 300.0);
-    let camera = Camera {
-        eye,
-        target: DVec3::ZERO,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 30.0 },
-    };
+    let camera = Camera::perspective(eye, DVec3::ZERO, 30.0);
     let brightness = |settings: Settings, side: u32| {
         let request =
             FrameRequest { pose: Pose::Camera(camera), settings, ..front("field", side, side) };

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use glam::DVec3;
 use pointillist::engine::{EngineConfig, EngineError, FrameRequest, Pose, Receipt};
-use pointillist::math::{Camera, Lens};
+use pointillist::math::Camera;
 use pointillist::plan::Output;
 use serde_json::json;
 
@@ -63,8 +63,7 @@ fn poses(scene: &str, output: Output) -> Vec<FrameRequest> {
             if number % 4 == 3 {
                 let eye = DVec3::new(0.1 * f64::from(number) - 0.6, -0.35, -0.9);
                 let target = DVec3::new(-0.4, 0.1, -1.0);
-                let camera =
-                    Camera { eye, target, up: DVec3::Y, lens: Lens::Perspective { fov_deg: 70.0 } };
+                let camera = Camera::perspective(eye, target, 70.0);
                 request.pose = Pose::Camera(camera);
             }
             request
@@ -231,8 +230,7 @@ fn a_view_over_the_limit_is_refused_alone() {
     // three.
     let from = |distance: f64, target: f64| {
         let (eye, target) = (DVec3::new(0.01, 0.02, distance), DVec3::Z * target);
-        let camera =
-            Camera { eye, target, up: DVec3::Y, lens: Lens::Perspective { fov_deg: 60.0 } };
+        let camera = Camera::perspective(eye, target, 60.0);
         FrameRequest { pose: Pose::Camera(camera), ..fit("stack", 128, Output::Depth) }
     };
     let over = from(2.0, 0.0);

@@ -6,7 +6,7 @@ use glam::{DAffine3, DMat3, DVec2, DVec3};
 use pointillist::assets::PointCloud;
 use pointillist::bake::pack::pack_samples;
 use pointillist::engine::Receipt;
-use pointillist::math::{Bounds, Camera, Lens, View};
+use pointillist::math::{Bounds, Camera, View};
 use pointillist::scene::random::SplitMix64;
 use serde_json::{Value, json};
 
@@ -27,12 +27,7 @@ fn behind_pixel(view: &View, x: f64, y: f64, depth: f64) -> DVec3 {
 /// In a wide frame, chunks of a single sample in the outermost rows and columns are drawn, and those just outside are not tested.
 #[test]
 fn lone_samples_along_the_frames_edges() {
-    let camera = Camera {
-        eye: DVec3::new(1.0, 2.0, 5.0),
-        target: DVec3::ZERO,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 55.0 },
-    };
+    let camera = Camera::perspective(DVec3::new(1.0, 2.0, 5.0), DVec3::ZERO, 55.0);
     let view = camera.view(640, 480).unwrap();
     let (w, h) = (640.0, 480.0);
     let mut nodes = Vec::new();

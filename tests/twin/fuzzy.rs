@@ -70,26 +70,26 @@ fn every_filter_is_near_the_oracles() {
     }
 }
 
-/// Stretched, mirrored and turned balls of samples above a floor of triangles.
-pub fn over_a_floor(name: &str) -> Case {
+/// Stretched, mirrored and turned copies of a cloud of samples, and a floor of triangles at a height.
+pub fn over_a_floor(name: &str, cloud: &Shape, height: f64) -> Case {
     let scene = json!({
         "assets": { "c": { "file": "c.ply" }, "t": { "file": "t.ply" } },
         "nodes": [
             { "asset": "c", "scale": [1, 0.4, 1.3], "rotate": [20, 30, 5] },
             { "asset": "c", "scale": [-0.5, 0.5, 0.5], "translate": [1.1, 0.3, 0] },
-            { "asset": "t", "translate": [0, -0.75, 0] }
+            { "asset": "t", "translate": [0, height, 0] }
         ]
     });
     let (u, v) = (DVec3::new(0.0, 0.0, 4.0), DVec3::new(4.0, 0.0, 0.0));
     let floor = Shape::quad(DVec3::new(-2.0, 0.0, -2.0), u, v, 1.0);
-    let files = [("c.ply", ball(900, 14).ply()), ("t.ply", floor.ply())];
+    let files = [("c.ply", cloud.ply()), ("t.ply", floor.ply())];
     Case::new(name, &files, &scene)
 }
 
 /// Triangles in front and behind, instances, and splats that reach the camera plane.
 #[test]
 fn a_single_pass_shares_its_depth_with_triangles() {
-    let case = over_a_floor("fuzzy-mixed");
+    let case = over_a_floor("fuzzy-mixed", &ball(900, 14), -0.75);
     // From below, the floor hides most of the splats.
     for eye in [[1.0, 1.2, 2.5], [-2.0, 0.4, 1.0], [0.2, 0.1, 1.1], [0.6, -1.6, 2.5]] {
         let view = look(eye, [0.3, 0.0, 0.0], 55.0);

@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use glam::{DVec2, DVec3, Vec3};
 use pointillist::accuracy::metrics::psnr;
 use pointillist::engine::Pose;
-use pointillist::math::{Camera, Lens, View, exposures};
+use pointillist::math::{Camera, View, exposures};
 use pointillist::oracle::{self, OracleScene};
 use pointillist::plan::{Antialias, BlurSamples, Pass, Reconstruct, Settings};
 use pointillist::scene::Splats;
@@ -129,11 +129,12 @@ fn frames_are_means_of_what_the_oracle_shows() {
 fn moving_frames_are_means_of_what_the_oracle_shows() {
     let case = case("shutter", "#304050");
     let size @ (width, height) = (160, 120);
-    let camera = |time: f64| Camera {
-        eye: DVec3::new(0.05 + 0.5 * time, 0.4, 4.0),
-        target: DVec3::new(0.15 - 0.3 * time, 0.0, 0.0),
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 45.0 },
+    let camera = |time: f64| {
+        Camera::perspective(
+            DVec3::new(0.05 + 0.5 * time, 0.4, 4.0),
+            DVec3::new(0.15 - 0.3 * time, 0.0, 0.0),
+            45.0,
+        )
     };
     let view = |time: f64| camera(time).view(width, height).unwrap();
     let views: Vec<View> = exposures(16).map(|one| view(one.time).moved(one.in_pixel)).collect();

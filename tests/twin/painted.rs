@@ -130,7 +130,7 @@ fn the_nearest_splat_hides_the_others() {
 /// Triangles and lines in front and behind, instances, and splats that reach the camera plane.
 #[test]
 fn triangles_hide_what_is_behind_them() {
-    let case = over_a_floor("painted-mixed");
+    let case = over_a_floor("painted-mixed", &ball(900, 14), -0.75);
     for eye in [[1.0, 1.2, 2.5], [-2.0, 0.4, 1.0], [0.2, 0.1, 1.1], [0.6, -1.6, 2.5]] {
         check(&case, &look(eye, [0.3, 0.0, 0.0], 55.0), painted(Filter::Perspective), 42.0);
     }
@@ -143,12 +143,7 @@ fn frames_of_any_size() {
     for (width, height, least) in
         [(1, 1, 30.0), (7, 5, 40.0), (15, 64, 42.0), (130, 33, 42.0), (517, 3, 42.0)]
     {
-        let camera = Camera {
-            eye: DVec3::new(0.5, 0.8, 2.0),
-            target: DVec3::ZERO,
-            up: DVec3::Y,
-            lens: Lens::Perspective { fov_deg: 50.0 },
-        };
+        let camera = Camera::perspective(DVec3::new(0.5, 0.8, 2.0), DVec3::ZERO, 50.0);
         let view = camera.view(width, height).unwrap();
         check(&case, &view, painted(Filter::Perspective), least);
     }

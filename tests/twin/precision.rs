@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use glam::{DAffine3, DMat3, DVec2, DVec3};
 use pointillist::accuracy::metrics::psnr;
-use pointillist::math::{Camera, Lens, View};
+use pointillist::math::{Camera, View};
 use pointillist::scene::random::SplitMix64;
 use serde_json::{Value, json};
 
@@ -177,12 +177,7 @@ fn millimetres_away_kilometres_from_the_grids_origin() {
             while !places.iter().all(|&other| is_behind(ahead, other)) {
                 ahead = random_direction(&mut random);
             }
-            let camera = Camera {
-                eye: target - ahead * 0.01,
-                target,
-                up: DVec3::Y,
-                lens: Lens::Perspective { fov_deg: 22.6 },
-            };
+            let camera = Camera::perspective(target - ahead * 0.01, target, 22.6);
             let view = camera.view(160, 120).unwrap();
             cloud.add(&pattern(&view, world_from_asset, &mut random));
             views.push(view);

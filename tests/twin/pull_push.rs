@@ -3,17 +3,18 @@
 //! Patches are stored in half precision, and rounding decides at their rims. Frames are therefore judged as splats are: by their
 //! signal-to-noise ratio, and by holes and leaks within a pixel of the oracle's outline.
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use pointillist::accuracy::metrics;
-use pointillist::math::{Camera, Lens, View};
+use pointillist::math::{Camera, View};
 use pointillist::oracle::{self, OracleFrame, OracleScene};
 use pointillist::plan::{Lod, MaxError, Pass, Reconstruct, Reconstruction, Settings};
 use pointillist::scene::PullPushWeights;
 use serde_json::json;
 
 use super::files::Shape;
+use super::fuzzy::over_a_floor;
 use super::orthographic;
-use super::splats::{ball, case, cube, difference};
+use super::splats::{ball, case, cube, difference, patchy_ball};
 use super::stage::{Case, Frames, look};
 
 const PULL_PUSH: Reconstruct = Reconstruct::PullPush;
@@ -75,22 +76,7 @@ fn gaps_are_filled_as_the_oracle_fills_them() {
 /// Instances that stretch and mirror, beside samples without normals and triangles before and behind them.
 #[test]
 fn filled_gaps_share_their_depth_with_everything_else() {
-    let mut cloud = ball(900, 14);
-    for normal in cloud.normals.iter_mut().step_by(7) {
-        *normal = Vec3::ZERO;
-    }
-    let scene = json!({
-        "assets": { "c": { "file": "c.ply" }, "t": { "file": "t.ply" } },
-        "nodes": [
-            { "asset": "c", "scale": [1, 0.4, 1.3], "rotate": [20, 30, 5] },
-            { "asset": "c", "scale": [-0.5, 0.5, 0.5], "translate": [1.1, 0.3, 0] },
-            { "asset": "t", "translate": [0, -0.2, 0] }
-        ]
-    });
-    let (u, v) = (DVec3::new(0.0, 0.0, 4.0), DVec3::new(4.0, 0.0, 0.0));
-    let floor = Shape::quad(DVec3::new(-2.0, 0.0, -2.0), u, v, 1.0);
-    let files = [("c.ply", cloud.ply()), ("t.ply", floor.ply())];
-    let case = Case::new("pulled-mixed", &files, &scene);
+    let case = over_a_floor("pulled-mixed", &patchy_ball(), -0.2);
     for eye in [[1.0, 1.2, 2.5], [-2.0, 0.4, 1.0]] {
         let frames = check(&case, &look(eye, [0.3, 0.0, 0.0], 55.0), pull_push(), 34.0);
         let ids = |id: u32| frames.id.iter().filter(|&&found| found == id).count();
@@ -206,8 +192,7 @@ fn surfaces_behind_an_outline_close() {
         let name = format!("pulled-behind-{count}");
         let case = Case::new(&name, &[("c.ply", ball(count, seed).ply())], &scene);
         for eye in [[0.0, 0.0, 5.0], [0.6, 0.3, 4.2], [-0.8, 0.5, 3.6]] {
-            let lens = Lens::Perspective { fov_deg: 40.0 };
-            let camera = Camera { eye: eye.into(), target: DVec3::ZERO, up: DVec3::Y, lens };
+            let camera = Camera::perspective(eye.into(), DVec3::ZERO, 40.0);
             let view = camera.view(300, 300).unwrap();
             let found = faults_beside_splats(&case, &view);
             (holes, leaks, covered) = (holes + found[0], leaks + found[1], covered + found[2]);
@@ -250,8 +235,7 @@ fn pyramids_of_any_size() {
         let away = View { width, height, ..look([0.0, 0.0, 9.0], [0.0, 0.0, 20.0], 60.0) };
         assert_eq!(full.draw_with(&away, pull_push()).covered(), 0);
         // The disk of the lone sample faces the eye, two units before it.
-        let lens = Lens::Perspective { fov_deg: 60.0 };
-        let camera = Camera { eye: place * 3.0, target: place, up: DVec3::Y, lens };
+        let camera = Camera::perspective(place * 3.0, place, 60.0);
         let shown = lone.draw_with(&camera.view(width, height).unwrap(), pull_push());
         assert!(shown.covered() > 0, "{width} × {height}");
         for (id, depth) in shown.id.iter().zip(&shown.depth) {

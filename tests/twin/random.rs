@@ -5,7 +5,7 @@
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use glam::{DVec3, Vec3};
-use pointillist::math::{Camera, Lens, Projection};
+use pointillist::math::{Camera, Projection};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use serde_json::json;
@@ -108,7 +108,7 @@ proptest! {
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
         let case = Case::new(&format!("random-{number}"), &files, &scene);
         let (eye, target) = (offset + DVec3::from(eye), offset + DVec3::from(target));
-        let camera = Camera { eye, target, up: DVec3::Y, lens: Lens::Perspective { fov_deg } };
+        let camera = Camera::perspective(eye, target, fov_deg);
         let view = camera.view(96, 72).unwrap();
         // In a small frame of random colours a single wrong pixel costs 35 dB, and a lone sample that is slightly off makes a
         // hole and a leak. What matters is that differences are explained.

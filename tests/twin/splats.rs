@@ -104,6 +104,15 @@ pub fn ball(count: usize, seed: u64) -> Shape {
     cloud
 }
 
+/// A ball of which every seventh sample has no normal.
+pub fn patchy_ball() -> Shape {
+    let mut cloud = ball(900, 14);
+    for normal in cloud.normals.iter_mut().step_by(7) {
+        *normal = Vec3::ZERO;
+    }
+    cloud
+}
+
 pub fn case(name: &str, cloud: &Shape, rest: Value) -> Case {
     let mut scene = json!({ "assets": { "c": { "file": "c.ply" } }, "nodes": [{ "asset": "c" }] });
     for (key, value) in rest.as_object().unwrap() {
@@ -178,10 +187,7 @@ fn parameters_of_the_scene_are_the_oracles() {
 /// Instances that stretch, shear and mirror, beside samples without normals and triangles, with a common depth test.
 #[test]
 fn splats_share_their_depth_with_everything_else() {
-    let mut cloud = ball(900, 14);
-    for normal in cloud.normals.iter_mut().step_by(7) {
-        *normal = Vec3::ZERO;
-    }
+    let cloud = patchy_ball();
     let scene = json!({
         "assets": { "c": { "file": "c.ply" }, "t": { "file": "t.ply" } },
         "nodes": [

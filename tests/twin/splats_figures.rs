@@ -1,7 +1,7 @@
 //! The figures of Zwicker et al. 2004 as scenes, with measurements of what they show.
 
 use glam::{DVec2, DVec3, Vec3};
-use pointillist::math::{Camera, Lens, View};
+use pointillist::math::{Camera, View};
 use pointillist::plan::{Reconstruct, Settings};
 use pointillist::scene::Filter;
 use serde_json::json;
@@ -64,9 +64,7 @@ fn figure_3_disks_that_touch() {
 /// A view of this size.
 fn view(eye: [f64; 3], target: [f64; 3], fov_deg: f64, width: u32, height: u32) -> View {
     let (eye, target) = (DVec3::from(eye), DVec3::from(target));
-    Camera { eye, target, up: DVec3::Y, lens: Lens::Perspective { fov_deg } }
-        .view(width, height)
-        .unwrap()
+    Camera::perspective(eye, target, fov_deg).view(width, height).unwrap()
 }
 
 /// Fig. 7: at a flat angle and far off the axis, the affine filter leaves holes, and the others leave none.

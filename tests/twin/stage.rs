@@ -10,7 +10,7 @@ use pointillist::accuracy::reference::Reference;
 use pointillist::assets::ReadOptions;
 use pointillist::encode::ImageFormat;
 use pointillist::engine::{Engine, EngineConfig, FrameRequest, NodePatch, Pose, Receipt};
-use pointillist::math::{Camera, Lens, View};
+use pointillist::math::{Camera, View};
 use pointillist::plan::{Edl, LineWidth, Output, Pass, Reconstruct, Settings, Shadows};
 use pointillist::scene::SceneLimits;
 use pointillist::scene::fields::SceneField;
@@ -285,9 +285,7 @@ fn points() -> Settings {
 /// A view of 160 × 120 with y up.
 pub fn look(eye: [f64; 3], target: [f64; 3], fov_deg: f64) -> View {
     let (eye, target) = (DVec3::from(eye), DVec3::from(target));
-    Camera { eye, target, up: DVec3::Y, lens: Lens::Perspective { fov_deg } }
-        .view(160, 120)
-        .unwrap()
+    Camera::perspective(eye, target, fov_deg).view(160, 120).unwrap()
 }
 
 fn frames(engine: &Engine, scene: &str, view: &View, settings: Settings) -> Frames {

@@ -4,7 +4,7 @@
 use glam::DVec3;
 use pointillist::accuracy::metrics::{covered_by_id, farthest_px, psnr};
 use pointillist::bake::tree::SIDEWAYS;
-use pointillist::math::{Camera, Lens, View};
+use pointillist::math::{Camera, View};
 use pointillist::plan::{ErrorMode, Lod, MaxError, Reconstruct, Settings};
 use pointillist::scene::random::SplitMix64;
 
@@ -24,12 +24,7 @@ fn poses(centre: DVec3, [near, far]: [f64; 2], count: usize) -> Vec<View> {
             let direction = DVec3::new(side(-1.0, 1.0), side(-0.2, 1.0), side(-1.0, 1.0));
             let distance = near * (far / near).powf(side(0.0, 1.0));
             let eye = centre + direction.normalize_or(DVec3::Z) * distance;
-            let camera = Camera {
-                eye,
-                target: centre,
-                up: DVec3::Y,
-                lens: Lens::Perspective { fov_deg: 40.0 },
-            };
+            let camera = Camera::perspective(eye, centre, 40.0);
             camera.view(200, 160).unwrap()
         })
         .collect()

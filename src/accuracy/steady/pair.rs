@@ -157,16 +157,15 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
-    use crate::math::{Camera, Lens};
+    use crate::math::Camera;
 
     const SIZE: [u32; 2] = [16, 12];
     const DARK: [u8; 4] = [0, 0, 0, 255];
     const LIGHT: [u8; 4] = [200, 200, 200, 255];
 
     fn view(target_x: f64) -> View {
-        let lens = Lens::Perspective { fov_deg: 40.0 };
         let target = DVec3::new(target_x, 0.0, 0.0);
-        let camera = Camera { eye: DVec3::Z, target, up: DVec3::Y, lens };
+        let camera = Camera::perspective(DVec3::Z, target, 40.0);
         camera.view(SIZE[0], SIZE[1]).unwrap()
     }
 

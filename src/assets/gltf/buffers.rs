@@ -320,7 +320,7 @@ impl<'a> Buffers<'a> {
 }
 
 /// Name and path of the file that a uri means.
-fn external(uri: &str, folder: Option<&Folder>) -> Result<(String, PathBuf), String> {
+pub(super) fn external(uri: &str, folder: Option<&Folder>) -> Result<(String, PathBuf), String> {
     let name =
         percent_decode_str(uri).decode_utf8().map_err(|_| "its uri is no text")?.into_owned();
     let folder = folder.ok_or("the asset lies in no folder, so it can name no files")?;

@@ -17,7 +17,6 @@ use ::gltf::json::material::AlphaMode;
 use ::gltf::json::texture::{self as json_texture, MagFilter, WrappingMode};
 use ::gltf::json::validation::Checked;
 use ::gltf::json::{Index, Root, Value, material};
-use percent_encoding::percent_decode_str;
 use serde_json::Map;
 
 use super::super::input::{Folder, read_bounded};
@@ -26,7 +25,7 @@ use super::super::{
     DIELECTRIC, Encoding, Filter, LEAST_ALPHA, MOST_EMISSIVE, Material, Physical, ReadOptions,
     ScaledMap, Texture, Wrap,
 };
-use super::buffers::Buffers;
+use super::buffers::{Buffers, external};
 use super::container::data_uri;
 
 /// How a primitive's texture coordinates are to be read for its material.
@@ -352,9 +351,7 @@ impl<'a> Materials<'a> {
         if let Some(bytes) = data_uri(uri) {
             return bytes;
         }
-        let name = percent_decode_str(uri).decode_utf8().map_err(|_| "its uri is no text")?;
-        let folder = self.folder.ok_or("the asset lies in no folder")?;
-        let path = folder.resolve(&name).map_err(|reason| format!("{name} {reason}"))?;
+        let (_, path) = external(uri, self.folder)?;
         read_bounded(&path, self.budget.max_encoded_bytes(), self.budget.admission())
             .map_err(|error| error.to_string())
     }

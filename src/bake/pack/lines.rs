@@ -10,7 +10,7 @@ use glam::{DVec3, IVec3};
 
 use super::fields::{FIELD_WORDS, PackedField, Values, check_fields, value_words};
 use super::kind::{Arrays, PackedKind, PageKind, Stream, StreamOf, holds};
-use super::{CHUNK, GeometryKind, Grid, NO_NORMAL, PackedChunk};
+use super::{CHUNK, GeometryKind, Grid, NO_NORMAL, PackedChunk, cell_of};
 use crate::math::Bounds;
 
 pub(super) use self::write::packing_bytes;
@@ -103,11 +103,6 @@ pub fn unpack_lines(lines: &PackedLines) -> Vec<Piece<LineVertex>> {
         vertices: found[ends[0] as usize..ends[1] as usize].to_vec(),
     };
     lines.strands.windows(2).enumerate().map(strand).collect()
-}
-
-/// The grid position of a vertex.
-fn cell_of(words: &[u32; LINE_WORDS]) -> IVec3 {
-    IVec3::new(words[0] as i32, words[1] as i32, words[2] as i32)
 }
 
 /// An end of a segment.

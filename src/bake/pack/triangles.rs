@@ -11,8 +11,8 @@ use super::kind::{
     Arrays, LOOKED_AT, PackedKind, PageKind, STRAY_SHARE, Stream, StreamOf, TAIL_SHARE, holds,
 };
 use super::{
-    ALWAYS, CHUNK, GeometryKind, Grid, NO_NORMAL, NodeRange, PackError, PackedChunk, Sides, finite,
-    morton, octahedral, octahedral_decode, rgba_word,
+    ALWAYS, CHUNK, GeometryKind, Grid, NO_NORMAL, NodeRange, PackError, PackedChunk, Sides,
+    cell_of, finite, morton, octahedral, octahedral_decode, rgba_word,
 };
 use crate::assets::{Material, Mesh, MeshPart};
 use crate::math::Bounds;
@@ -244,11 +244,6 @@ pub fn unpack_mesh(packed: &PackedMesh) -> Mesh {
 /// Bytes that packing a mesh needs.
 pub(super) fn packing_bytes(mesh: &Mesh) -> u64 {
     48 * mesh.positions.len() as u64 + 72 * mesh.triangles.len() as u64
-}
-
-/// The grid position of a vertex.
-fn cell_of(words: &[u32; VERTEX_WORDS]) -> IVec3 {
-    IVec3::new(words[0] as i32, words[1] as i32, words[2] as i32)
 }
 
 fn area(corners: &[DVec3]) -> f64 {

@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use axum::body::Body;
 use axum::extract::{Extension, State};
-use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
-use axum::response::{IntoResponse, Response};
+use axum::http::{HeaderMap, HeaderValue, Method, Uri, header};
+use axum::response::Response;
 use bytes::Bytes;
 use futures::Stream;
 
@@ -17,7 +17,7 @@ use super::wire::{JobState, damaged, job_problem, unknown_job};
 use super::{blocking, job_id, jobs};
 use crate::film::Record;
 use crate::film::manifest::read_sound;
-use crate::http::conditional::{media_type, none_match_hits};
+use crate::http::conditional::{media_type, revalidated};
 use crate::http::frames::boundary;
 use crate::http::params::{integer, once, pairs, unknown_name};
 use crate::http::problem::{Kind, PROBLEM_JSON, Problem};
@@ -198,16 +198,8 @@ pub async fn manifest(
     })
     .await?;
     let etag = format!("\"{}\"", crate::film::manifest::checksum(&text));
-    let tag = HeaderValue::from_str(&etag).map_err(Problem::internal)?;
-    let mut response = if none_match_hits(&headers, &etag) {
-        StatusCode::NOT_MODIFIED.into_response()
-    } else {
-        const JSON_LINES: HeaderValue = HeaderValue::from_static("application/jsonl");
-        ([(header::CONTENT_TYPE, JSON_LINES)], text).into_response()
-    };
-    response.headers_mut().insert(header::ETAG, tag);
-    response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
-    Ok(response)
+    let json_lines = [(header::CONTENT_TYPE, HeaderValue::from_static("application/jsonl"))];
+    revalidated(&headers, &etag, (json_lines, text))
 }
 
 /// All frames as one stream, in the order of the path. While the job runs, each part is sent when its frame is drawn. A job that ends

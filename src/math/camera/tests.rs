@@ -1,12 +1,7 @@
 use super::*;
 
 fn camera() -> Camera {
-    Camera {
-        eye: DVec3::new(1.0, 2.0, 5.0),
-        target: DVec3::new(0.5, 1.0, 0.0),
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 40.0 },
-    }
+    Camera::perspective(DVec3::new(1.0, 2.0, 5.0), DVec3::new(0.5, 1.0, 0.0), 40.0)
 }
 
 #[test]
@@ -147,12 +142,7 @@ fn bad_poses_name_their_parameter() {
 
 #[test]
 fn looking_along_up_is_drawn() {
-    let c = Camera {
-        eye: DVec3::Y,
-        target: DVec3::ZERO,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 60.0 },
-    };
+    let c = Camera::perspective(DVec3::Y, DVec3::ZERO, 60.0);
     let view = c.view(8, 8).unwrap();
     assert!(view.view_from_world.is_finite());
 }

@@ -2,16 +2,10 @@
 
 use super::{over_level, pulled_constants};
 use crate::gpu::shader::ShaderError;
-use crate::passes::recorder::{Call, Recorder};
-use crate::passes::shaders::Choices;
+use crate::passes::recorder::Recorder;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let (width, height) = recorder.levels().size(recorder.level + 1);
-    recorder.compute(Call {
-        choices: Choices::default(),
-        constants: pulled_constants(recorder),
-        segments: &[None],
-        // The rim included.
-        launch: over_level(recorder, width + 2, height + 2),
-    })
+    // The rim included.
+    recorder.compute_once(pulled_constants(recorder), over_level(recorder, width + 2, height + 2))
 }

@@ -2,14 +2,8 @@
 
 use super::{over_corners, pulled_constants};
 use crate::gpu::shader::ShaderError;
-use crate::passes::recorder::{Call, Recorder};
-use crate::passes::shaders::Choices;
+use crate::passes::recorder::Recorder;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
-    recorder.compute(Call {
-        choices: Choices::default(),
-        constants: pulled_constants(recorder),
-        segments: &[None],
-        launch: over_corners(recorder),
-    })
+    recorder.compute_once(pulled_constants(recorder), over_corners(recorder))
 }

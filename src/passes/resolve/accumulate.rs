@@ -1,23 +1,20 @@
 //! Depth of field and motion blur: the mean of many exposures.
 
 use crate::gpu::shader::ShaderError;
-use crate::passes::recorder::{Call, Launch, Recorder};
-use crate::passes::shaders::Choices;
+use crate::passes::recorder::{Launch, Recorder};
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let task = recorder.task;
     let Some(round) = task.round else { return Ok(()) };
     let (width, height) = task.image_size();
     let total = round.exposures.map_or(0, |count| count * task.parts * task.parts);
-    recorder.compute(Call {
-        choices: Choices::default(),
-        constants: vec![
+    recorder.compute_once(
+        vec![
             ("PARTS", task.parts),
             ("EXPOSURES", task.count()),
             ("FIRST", u32::from(round.first == 0)),
             ("TOTAL", total),
         ],
-        segments: &[None],
-        launch: Launch::Direct([width.div_ceil(64), height, 1]),
-    })
+        Launch::Direct([width.div_ceil(64), height, 1]),
+    )
 }

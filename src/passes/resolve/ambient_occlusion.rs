@@ -2,14 +2,8 @@
 
 use super::tiles;
 use crate::gpu::shader::ShaderError;
-use crate::passes::recorder::{Call, Recorder};
-use crate::passes::shaders::Choices;
+use crate::passes::recorder::Recorder;
 
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
-    recorder.compute(Call {
-        choices: Choices::default(),
-        constants: Vec::new(),
-        segments: &[None],
-        launch: tiles(recorder),
-    })
+    recorder.compute_once(Vec::new(), tiles(recorder))
 }

@@ -1,8 +1,7 @@
 //! Which groups of instances may show anything of their own.
 
 use crate::gpu::shader::ShaderError;
-use crate::passes::recorder::{Call, DISPATCH_ROW, Launch, Recorder};
-use crate::passes::shaders::Choices;
+use crate::passes::recorder::{DISPATCH_ROW, Launch, Recorder};
 
 /// Groups of instances that a workgroup looks at; as in the shader.
 const GROUPS: u32 = 64;
@@ -10,10 +9,5 @@ const GROUPS: u32 = 64;
 pub fn record(recorder: &mut Recorder) -> Result<(), ShaderError> {
     let groups = recorder.scene.instance_groups().div_ceil(GROUPS);
     let size = [groups.min(DISPATCH_ROW), groups.div_ceil(DISPATCH_ROW), 1];
-    recorder.compute(Call {
-        choices: Choices::default(),
-        constants: vec![("MEASURE", recorder.task.measure())],
-        segments: &[None],
-        launch: Launch::Direct(size),
-    })
+    recorder.compute_once(vec![("MEASURE", recorder.task.measure())], Launch::Direct(size))
 }

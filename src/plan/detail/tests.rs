@@ -1,17 +1,12 @@
 use glam::DVec3;
 
 use super::*;
-use crate::math::{Camera, Lens};
+use crate::math::Camera;
 use crate::plan::{Lod, Reconstruct};
 
 /// A frame of 512² pixels, in which a unit is 512 pixels wide.
 fn view() -> View {
-    let camera = Camera {
-        eye: DVec3::Z,
-        target: DVec3::ZERO,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 53.130_102 },
-    };
+    let camera = Camera::perspective(DVec3::Z, DVec3::ZERO, 53.130_102);
     camera.view(512, 512).unwrap()
 }
 

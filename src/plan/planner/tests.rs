@@ -4,7 +4,7 @@ use proptest::test_runner::RngSeed;
 
 use super::*;
 use crate::bake::spacing::Patch;
-use crate::math::{Camera, Lens};
+use crate::math::Camera;
 use crate::plan::Reconstruct;
 
 const COUNT: f64 = 1e6;
@@ -18,12 +18,7 @@ fn ground_at(distance: f64, width: u32) -> Ground {
         count: COUNT / 4.0,
     };
     let patches: Vec<Patch> = [-0.75, -0.25, 0.25, 0.75].map(patch).into();
-    let camera = Camera {
-        eye: DVec3::new(0.0, 0.0, distance),
-        target: DVec3::ZERO,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 40.0 },
-    };
+    let camera = Camera::perspective(DVec3::new(0.0, 0.0, distance), DVec3::ZERO, 40.0);
     Ground::new([&patches, &[], &[]], &camera.view(width, width / 2).unwrap())
 }
 

@@ -5,11 +5,7 @@ use crate::math::Lens;
 
 fn key(t: f64, eye: [f64; 3], target: [f64; 3], ease: Ease) -> PathKey {
     let (eye, target) = (DVec3::from_array(eye), DVec3::from_array(target));
-    PathKey {
-        t,
-        camera: Camera { eye, target, up: DVec3::Y, lens: Lens::Perspective { fov_deg: 40.0 } },
-        ease,
-    }
+    PathKey { t, camera: Camera::perspective(eye, target, 40.0), ease }
 }
 
 fn path(interpolation: Interpolation, keys: Vec<PathKey>) -> CameraPath {
