@@ -419,8 +419,9 @@ impl Store {
         old.retain(|_, at| now.duration_since(*at).is_ok_and(|age| age >= ABANDONED));
         let before = std::mem::replace(suspects, old);
         let unchanged = suspects.iter().filter(|(film, at)| before.get(*film) == Some(*at));
+        let abandoned: Vec<&String> = unchanged.map(|(film, _)| film).collect();
         let (mut removed, mut failed) = (0, None);
-        for (film, _) in unchanged {
+        for film in abandoned {
             match self.remove(film).await {
                 Ok(()) => removed += 1,
                 Err(error) => failed = failed.or(Some(error)),
