@@ -14,8 +14,8 @@ use super::{
 
 /// Extensions of the formats that are read, in lower case; each may be followed by `.gz`.
 pub const FORMATS: &[&str] = &[
-    "ply", "las", "laz", "obj", "stl", "gltf", "glb", "xyz", "pts", "csv", "txt", "ptx", "pcd",
-    "off", "e57", "swc", "tck", "trk", "trx", "vtk", "vtp", "hair",
+    "ply", "las", "laz", "obj", "stl", "gltf", "glb", "xyz", "pts", "csv", "tsv", "txt", "ptx",
+    "pcd", "off", "e57", "swc", "tck", "trk", "trx", "vtk", "vtp", "hair",
 ];
 
 /// Whether a file of this name is worth offering to [`read`].
@@ -281,7 +281,7 @@ fn by_extension(extension: &str, head: &[u8]) -> Option<Format> {
         "asc" if matches!(head.first(), Some(b';' | b'(')) => {
             Format::Refused("a Neurolucida file is not offered: convert it to SWC")
         }
-        "xyz" | "pts" | "csv" | "txt" | "asc" => Format::Xyz,
+        "xyz" | "pts" | "csv" | "tsv" | "txt" | "asc" => Format::Xyz,
         "swc" => Format::Swc,
         "splat" | "ksplat" | "spz" => Format::Refused("Gaussian splats are not offered yet"),
         "drc" => Format::Refused("Draco compression is not offered"),
@@ -329,7 +329,7 @@ mod tests {
 
     #[test]
     fn extensions_look_through_gzip_and_case() {
-        for name in ["a.PLY", "b.swc", "b.obj.gz", "c.copc.laz", "d.e.STL", "e.xyz.GZ"] {
+        for name in ["a.PLY", "b.swc", "b.tsv", "b.obj.gz", "c.copc.laz", "d.e.STL", "e.xyz.GZ"] {
             assert!(is_supported_extension(name), "{name}");
         }
         for name in ["ply", "a.gz", "b.asc", "c.ply.bak", "", "d.splat"] {
@@ -345,6 +345,7 @@ mod tests {
         assert_eq!(recognise(b"solid but binary", "a.StL"), Format::Stl);
         assert_eq!(recognise(b"1 2 3\n", "a.xyz.gz"), Format::Xyz);
         assert_eq!(recognise(b"# x\n1.5, 2,3\n", "a"), Format::Xyz);
+        assert_eq!(recognise(b"name\tx\ty\tz\n", "a.tsv"), Format::Xyz);
         assert_eq!(recognise(b"v 1 2 3\n", "noext"), Format::Obj);
         assert_eq!(recognise(b" {\"asset\": {}}", "noext"), Format::Gltf);
         assert_eq!(recognise(b"hello", "noext"), Format::Unknown);

@@ -1,4 +1,4 @@
-//! Reader for text point clouds: XYZ, PTS, CSV, TXT.
+//! Reader for text point clouds: XYZ, PTS, CSV, TSV, TXT.
 //!
 //! Rows are streamed once. Columns beyond x, y, z are kept as they are until the end, because their
 //! meaning follows from a header line that names them, or else from their number and from what all

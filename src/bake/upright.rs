@@ -9,7 +9,7 @@
 //! | glTF, whose specification says +y | 9 for +y |
 //! | survey formats (LAS, LAZ and so COPC, PTX), and tracts (TCK, TRK, TRX), whose z leads from the feet to the head | 2 for +z |
 //! | coordinates of a national or world-wide grid | 2.5 for +z |
-//! | E57; XYZ with PTS and CSV, PCD, STL; PLY, OBJ, OFF | 1.0; 0.7; 0.2 for +z and 0.2; 0.2; 0.7 for +y |
+//! | E57; XYZ with PTS, CSV and TSV, PCD, STL; PLY, OBJ, OFF | 1.0; 0.7; 0.2 for +z and 0.2; 0.2; 0.7 for +y |
 //! | the asset stands on this end: wide support below its centre of mass | up to 1.8 |
 //! | the asset stands on the other end | down to −0.8 |
 //! | this end is flat | up to 0.9, down to −0.5 where the other end is |

@@ -55,6 +55,9 @@ const LOOK_EVERY: Duration = Duration::from_millis(100);
 /// Interval at which the log repeats a failure that lasts.
 const SAY_AGAIN: Duration = Duration::from_secs(60);
 
+/// Time that a worker has to finish its frames after it was told to stop. Less than service managers give it (120 s), so that it can still return its run.
+const PARTING: Duration = Duration::from_secs(100);
+
 /// Returns the lasting name of a server, which is kept in its state folder.
 ///
 /// # Errors
@@ -106,6 +109,16 @@ async fn stopped(stop: &AtomicBool) {
     }
 }
 
+/// Waits until `stop` has been true for [`PARTING`].
+async fn out_of_time(stop: &AtomicBool) {
+    stopped(stop).await;
+    tokio::time::sleep(PARTING).await;
+    tracing::warn!(
+        "no frame came from the GPU within {} seconds after the worker was told to stop; its run goes to another worker",
+        PARTING.as_secs()
+    );
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -127,5 +140,19 @@ mod tests {
         std::fs::write(one.path().join("farm-name"), "").unwrap();
         assert!(!daemon_name(one.path()).unwrap().is_empty());
         assert!(daemon_name(Path::new("/no/such/folder")).is_err());
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn frames_have_a_limited_time_after_a_stop() {
+        let stop = AtomicBool::new(false);
+        let is_over = async |limit| tokio::time::timeout(limit, out_of_time(&stop)).await.is_ok();
+        assert!(!is_over(10 * PARTING).await);
+        stop.store(true, Ordering::Relaxed);
+        assert!(!is_over(PARTING - LOOK_EVERY).await);
+        // The run is returned before the service manager kills the worker.
+        let unit = include_str!("../../deploy/pointillist-worker.service");
+        let (_, seconds) = unit.split_once("TimeoutStopSec=").unwrap();
+        let (seconds, _) = seconds.split_once('\n').unwrap();
+        assert!(is_over(Duration::from_secs(seconds.parse::<u64>().unwrap() - 15)).await);
     }
 }

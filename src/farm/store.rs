@@ -11,7 +11,7 @@
 //!
 //! Frames carry their checksum, since a shared folder may keep half of a file after a power cut. Each operation is tried a few times.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashSet};
 use std::path::Path as FilePath;
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, SystemTime};
@@ -58,7 +58,7 @@ struct Needs {
 }
 
 /// Films that are old enough to be removed, with the times of their newest objects.
-pub type Suspects = HashMap<String, SystemTime>;
+pub type Suspects = BTreeMap<String, SystemTime>;
 
 /// A handle of the store; clones share it.
 #[derive(Clone)]
@@ -136,7 +136,8 @@ impl Store {
                 return Err(StoreError::Folder { store: text.into(), error });
             }
             let files = LocalFileSystem::new_with_prefix(folder).map_err(fail)?;
-            Arc::new(files.with_automatic_cleanup(true))
+            // Workers and servers rely on a stored object, which must therefore outlast a power cut, as one in a bucket does.
+            Arc::new(files.with_automatic_cleanup(true).with_fsync(true))
         };
         Ok(Store { objects, name: text.into(), id: Arc::default() })
     }
@@ -394,7 +395,7 @@ impl Store {
     /// A clock that jumps therefore removes no film whose order is stored again between two calls. Returns the number of removed films.
     ///
     /// # Errors
-    /// The store fails.
+    /// The store fails. If it fails for some films only, the other films are removed, and this is the first error.
     pub async fn clean_films(
         &self,
         now: SystemTime,
@@ -419,10 +420,14 @@ impl Store {
         let before = std::mem::replace(suspects, old);
         let unchanged = suspects.iter().filter(|(film, at)| before.get(*film) == Some(*at));
         let abandoned: Vec<&String> = unchanged.map(|(film, _)| film).collect();
-        for film in &abandoned {
-            self.remove(film).await?;
+        let (mut removed, mut failed) = (0, None);
+        for film in abandoned {
+            match self.remove(film).await {
+                Ok(()) => removed += 1,
+                Err(error) => failed = failed.or(Some(error)),
+            }
         }
-        Ok(abandoned.len())
+        failed.map_or(Ok(removed), Err)
     }
 
     /// Removes scenes' files that no film needs and that are a week old at the time `now`. Returns their number. A film whose order is

@@ -23,7 +23,7 @@ use super::pacing::{
 };
 use super::store::{Store, StoreError};
 use super::tries::Tries;
-use super::{Said, kind_of, stopped};
+use super::{Said, kind_of, out_of_time, stopped};
 use crate::engine::{Client, Engine, EngineError, RequestId};
 use crate::film::manifest::digits;
 use crate::film::{self, Drawn, Film, FilmError, Wanted};
@@ -272,6 +272,8 @@ impl Worker {
             () = self.report_progress(message) => {
                 Err(format!("no frame was finished for {} seconds", STUCK.as_secs()).into())
             }
+            // A thread that is stuck in the driver never looks at `stop`.
+            () = out_of_time(stop) => Err("the worker stops".to_owned().into()),
         };
         self.clear_up(&run).await;
         match ended {

@@ -233,11 +233,11 @@ pub fn draw_wanted(
 /// Draws on this thread and calls `keep` on another one, because writing a small frame to disk takes as long as drawing it.
 fn draw(
     mut drawing: Drawing<'_>,
-    mut keep: impl FnMut(Drawn) -> Result<(), FilmError> + Send,
+    keep: impl FnMut(Drawn) -> Result<(), FilmError> + Send,
 ) -> Result<(), FilmError> {
     std::thread::scope(|scope| {
         let (sender, receiver) = flume::bounded::<Drawn>(UNWRITTEN);
-        let writer = scope.spawn(move || receiver.iter().try_for_each(&mut keep));
+        let writer = scope.spawn(move || hand_over(&receiver, keep));
         let mut drawn = Ok(());
         while !drawing.is_stopped() {
             match drawing.next() {
@@ -258,6 +258,25 @@ fn draw(
         let written = writer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
         written.and(drawn)
     })
+}
+
+/// Calls `keep` with the frames until one cannot be kept, and then with those that are drawn and wait. A smaller frame may still fit on the disk, and
+/// nothing is lost by trying.
+///
+/// # Errors
+/// The first error of `keep`.
+fn hand_over(
+    drawn: &flume::Receiver<Drawn>,
+    mut keep: impl FnMut(Drawn) -> Result<(), FilmError>,
+) -> Result<(), FilmError> {
+    let kept = drawn.iter().try_for_each(&mut keep);
+    if kept.is_err() {
+        // A bounded number, since the drawing goes on until the receiver is gone.
+        for frame in drawn.try_iter().take(UNWRITTEN) {
+            let _ = keep(frame);
+        }
+    }
+    kept
 }
 
 impl Film<'_> {
@@ -515,5 +534,24 @@ mod tests {
         assert_eq!(window(0, 16, 256), (2, 1));
         assert_eq!(window(20_000, 16, 8), (8, 4));
         assert_eq!(window(20_000, 16, 1), (2, 1));
+    }
+
+    #[test]
+    fn drawn_frames_are_kept_although_one_of_them_cannot_be() {
+        let (sender, receiver) = flume::bounded(UNWRITTEN);
+        for number in 0..3 {
+            let drawn = Drawn { number, tag: String::new(), bytes: Bytes::new(), receipt: None };
+            assert!(sender.send(drawn).is_ok());
+        }
+        let mut kept = Vec::new();
+        let written = hand_over(&receiver, |drawn| {
+            if drawn.number == 1 {
+                return Err(FilmError::OtherTag { frame: 1 });
+            }
+            kept.push(drawn.number);
+            Ok(())
+        });
+        assert!(matches!(written, Err(FilmError::OtherTag { frame: 1 })));
+        assert_eq!(kept, [0, 2]);
     }
 }

@@ -1,5 +1,6 @@
 //! Answers under way on a connection, and since when its client has taken nothing of each. An HTTP/2 client takes as much of each answer as it likes, and
-//! keeps the connection alive meanwhile, so what a connection writes says nothing about an answer that nobody reads.
+//! keeps the connection alive meanwhile, so what a connection writes says nothing about an answer that nobody reads. The requests under way are counted as
+//! well, since an HTTP/2 client that only pings would keep its connection for ever.
 
 use std::pin::Pin;
 use std::sync::{Arc, Weak};
@@ -18,13 +19,45 @@ use tokio::time::{Instant, Sleep};
 pub const STALLED: Duration = Duration::from_secs(60);
 /// Bytes of an answer that a connection is given at a time, and that a client must take within that time.
 pub const PART: usize = 16 << 10;
+/// Time without a request after which an HTTP/2 connection ends. Long, because a client may send a request at the very moment at which it ends.
+const IDLE: Duration = Duration::from_secs(300);
 
-/// The answers of one connection.
+/// The answers of one connection, and its requests under way.
 #[derive(Clone, Default)]
-pub struct Answers(Arc<Mutex<Vec<Weak<Answer>>>>);
+pub struct Answers {
+    under_way: Arc<Mutex<Vec<Weak<Answer>>>>,
+    requests: Arc<Mutex<Requests>>,
+}
 
-/// Since when the client has taken nothing of an answer; `None` while there is nothing to take.
-struct Answer(Mutex<Option<Instant>>);
+/// Number of requests under way, and when the last one ended, or the connection began.
+struct Requests {
+    count: usize,
+    since: Instant,
+}
+
+impl Default for Requests {
+    fn default() -> Self {
+        Requests { count: 0, since: Instant::now() }
+    }
+}
+
+/// A request under way, until its answer is written.
+struct Request(Arc<Mutex<Requests>>);
+
+impl Drop for Request {
+    fn drop(&mut self) {
+        let mut requests = self.0.lock();
+        requests.count -= 1;
+        requests.since = Instant::now();
+    }
+}
+
+/// An answer under way.
+struct Answer {
+    /// Since when the client has taken nothing of it; `None` while there is nothing to take.
+    since: Mutex<Option<Instant>>,
+    _request: Request,
+}
 
 impl Answers {
     /// Wraps a service, so that its answers are watched.
@@ -32,12 +65,18 @@ impl Answers {
         Watched { service, answers: self.clone() }
     }
 
-    fn watch(&self, body: Body) -> Body {
+    fn begin(&self) -> Request {
+        self.requests.lock().count += 1;
+        Request(self.requests.clone())
+    }
+
+    fn watch(&self, body: Body, request: Request) -> Body {
         if body.is_end_stream() {
             return body;
         }
-        let answer = Arc::new(Answer(Mutex::new(Some(Instant::now()))));
-        let mut all = self.0.lock();
+        let since = Mutex::new(Some(Instant::now()));
+        let answer = Arc::new(Answer { since, _request: request });
+        let mut all = self.under_way.lock();
         all.retain(|answer| answer.strong_count() > 0);
         all.push(Arc::downgrade(&answer));
         Body::new(Parts { body, rest: Bytes::new(), answer })
@@ -45,8 +84,14 @@ impl Answers {
 
     /// Returns since when the client has taken nothing of the answer for which that is longest.
     fn waiting_since(&self) -> Option<Instant> {
-        let all = self.0.lock();
-        all.iter().filter_map(|answer| *answer.upgrade()?.0.lock()).min()
+        let all = self.under_way.lock();
+        all.iter().filter_map(|answer| *answer.upgrade()?.since.lock()).min()
+    }
+
+    /// Returns since when no request is under way.
+    fn idle_since(&self) -> Option<Instant> {
+        let requests = self.requests.lock();
+        (requests.count == 0).then_some(requests.since)
     }
 }
 
@@ -71,8 +116,9 @@ where
     }
 
     fn call(&mut self, request: R) -> Self::Future {
-        let (answers, answer) = (self.answers.clone(), self.service.call(request));
-        Box::pin(async move { Ok(answer.await?.map(|body| answers.watch(body))) })
+        let (answers, under_way) = (self.answers.clone(), self.answers.begin());
+        let answer = self.service.call(request);
+        Box::pin(async move { Ok(answer.await?.map(|body| answers.watch(body, under_way))) })
     }
 }
 
@@ -87,11 +133,14 @@ impl Patience {
         Patience { answers, until: Box::pin(tokio::time::sleep(STALLED)) }
     }
 
-    /// Returns whether the client has taken nothing of an answer for [`STALLED`]. Otherwise the task is woken when it has to ask again.
-    pub fn is_over(&mut self, context: &mut Context<'_>) -> bool {
-        let Some(since) = self.answers.waiting_since() else { return false };
-        if self.until.deadline() != since + STALLED {
-            self.until.as_mut().reset(since + STALLED);
+    /// Returns whether the client has taken nothing of an answer for [`STALLED`], or has sent no request over HTTP/2 for [`IDLE`]. Otherwise the task is
+    /// woken when it has to ask again. The end of a request does not wake it, but the server's own pings over HTTP/2 do.
+    pub fn is_over(&mut self, context: &mut Context<'_>, is_http2: bool) -> bool {
+        let stalled = self.answers.waiting_since().map(|since| since + STALLED);
+        let idle = self.answers.idle_since().filter(|_| is_http2).map(|since| since + IDLE);
+        let Some(until) = stalled.into_iter().chain(idle).min() else { return false };
+        if self.until.deadline() != until {
+            self.until.as_mut().reset(until);
         }
         self.until.as_mut().poll(context).is_ready()
     }
@@ -116,7 +165,7 @@ impl HttpBody for Parts {
         if self.rest.is_empty() {
             let next = Pin::new(&mut self.body).poll_frame(context);
             // While the server has nothing to send, nobody waits for the client.
-            *self.answer.0.lock() = next.is_ready().then(Instant::now);
+            *self.answer.since.lock() = next.is_ready().then(Instant::now);
             match ready!(next) {
                 Some(Ok(frame)) => match frame.into_data() {
                     Ok(data) => self.rest = data,
@@ -125,7 +174,7 @@ impl HttpBody for Parts {
                 end => return Poll::Ready(end),
             }
         }
-        *self.answer.0.lock() = Some(Instant::now());
+        *self.answer.since.lock() = Some(Instant::now());
         let length = self.rest.len().min(PART);
         let part = Part { bytes: self.rest.split_to(length), answer: self.answer.clone() };
         Poll::Ready(Some(Ok(Frame::data(Bytes::from_owner(part)))))
@@ -159,7 +208,7 @@ impl AsRef<[u8]> for Part {
 
 impl Drop for Part {
     fn drop(&mut self) {
-        if let Some(since) = &mut *self.answer.0.lock() {
+        if let Some(since) = &mut *self.answer.since.lock() {
             *since = Instant::now();
         }
     }
@@ -175,10 +224,10 @@ mod tests {
     async fn a_client_must_take_a_part_of_each_answer_in_time() {
         let answers = Answers::default();
         let mut patience = Patience::new(answers.clone());
-        let mut is_over = || patience.is_over(&mut Context::from_waker(Waker::noop()));
+        let mut is_over = || patience.is_over(&mut Context::from_waker(Waker::noop()), false);
         let later = |seconds| tokio::time::advance(Duration::from_secs(seconds));
         assert!(!is_over());
-        let mut body = answers.watch(Body::from(vec![7; 2 * PART + 1]));
+        let mut body = answers.watch(Body::from(vec![7; 2 * PART + 1]), answers.begin());
         assert_eq!(body.size_hint().exact(), Some(2 * PART as u64 + 1));
         let next = async |body: &mut Body| {
             let frame = std::future::poll_fn(|context| Pin::new(&mut *body).poll_frame(context));
@@ -195,7 +244,7 @@ mod tests {
         later(59).await;
         assert!(!is_over());
         // Another answer, which is read, does not stand in for this one.
-        let mut other = answers.watch(Body::from("other"));
+        let mut other = answers.watch(Body::from("other"), answers.begin());
         assert_eq!(next(&mut other).await, "other");
         later(1).await;
         assert!(is_over());
@@ -216,15 +265,47 @@ mod tests {
         let mut patience = Patience::new(answers.clone());
         let (mut sender, receiver) =
             futures::channel::mpsc::channel::<Result<Bytes, axum::Error>>(1);
-        let mut body = answers.watch(Body::from_stream(receiver));
+        let mut body = answers.watch(Body::from_stream(receiver), answers.begin());
         let mut context = Context::from_waker(Waker::noop());
         assert!(Pin::new(&mut body).poll_frame(&mut context).is_pending());
         tokio::time::advance(Duration::from_secs(3600)).await;
-        assert!(!patience.is_over(&mut context));
+        assert!(!patience.is_over(&mut context, false));
         sender.try_send(Ok(Bytes::from_static(b"news"))).unwrap();
         assert!(Pin::new(&mut body).poll_frame(&mut context).is_ready());
-        assert!(!patience.is_over(&mut context));
+        assert!(!patience.is_over(&mut context, false));
         tokio::time::advance(STALLED).await;
-        assert!(patience.is_over(&mut context));
+        assert!(patience.is_over(&mut context, false));
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_connection_over_http2_needs_a_request_now_and_then() {
+        let answers = Answers::default();
+        let mut patience = Patience::new(answers.clone());
+        let mut context = Context::from_waker(Waker::noop());
+        let mut is_over = |is_http2| patience.is_over(&mut context, is_http2);
+        let short = IDLE - Duration::from_secs(1);
+        tokio::time::advance(short).await;
+        assert!(!is_over(true));
+        // While the server works on a request, and while its answer is under way, the connection is in use.
+        let request = answers.begin();
+        tokio::time::advance(2 * IDLE).await;
+        assert!(!is_over(true));
+        let (sender, receiver) = futures::channel::mpsc::channel::<Result<Bytes, axum::Error>>(1);
+        let mut body = answers.watch(Body::from_stream(receiver), request);
+        let waits = Pin::new(&mut body).poll_frame(&mut Context::from_waker(Waker::noop()));
+        assert!(waits.is_pending());
+        tokio::time::advance(2 * IDLE).await;
+        assert!(!is_over(true));
+        drop((body, sender));
+        tokio::time::advance(short).await;
+        assert!(!is_over(true));
+        // An answer without a body ends its request at once.
+        drop(answers.watch(Body::empty(), answers.begin()));
+        tokio::time::advance(short).await;
+        assert!(!is_over(true));
+        tokio::time::advance(Duration::from_secs(1)).await;
+        // HTTP/1 has limits of its own, and its connections may have become WebSockets.
+        assert!(!is_over(false));
+        assert!(is_over(true));
     }
 }

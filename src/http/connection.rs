@@ -1,7 +1,8 @@
 //! Connections: how many there may be, and for how long each may stall.
 //!
 //! A connection must send the head of a request within `read_timeout`; an idle connection is closed after the same time. A connection that accepts fewer
-//! than [`PART`] bytes in [`STALLED`] is dropped, and so is one whose client takes no more of one of its [answers](Answers). A connection beyond `max_connections` gets a
+//! than [`PART`] bytes in [`STALLED`] is dropped, and so is one whose client takes no more of one of its [answers](Answers). A connection over HTTP/2
+//! ends after five minutes without a request, whatever else its client sends. A connection beyond `max_connections` gets a
 //! short refusal and is closed. A few of these at a time are read first, so that health probes are answered. The same holds for a
 //! connection beyond those that one address may have. With TLS, such connections are closed without an answer, since a handshake
 //! costs more than the answer is worth.
@@ -28,8 +29,8 @@ use super::answers::{Answers, PART, Patience, STALLED, Watched};
 use super::problem::{Kind, Problem};
 use super::{App, address, refusal, service};
 
-/// Length of an HTTP/2 preface, which is also nearly that of the shortest HTTP/1 request.
-const PREFACE_BYTES: u64 = 24;
+/// The first bytes of a connection over HTTP/2. The shortest HTTP/1 request is nearly as long.
+const PREFACE: &[u8; 24] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
 /// Limits of reading on after a refused head, in time and bytes: closing at once would reset the connection, and the client might
 /// never see the answer.
 const LINGER: Duration = Duration::from_secs(1);
@@ -185,7 +186,7 @@ async fn turn_away(stream: &mut TcpStream, answer: Option<Response>) -> std::io:
 pub struct Guarded {
     stream: Socket,
     _place: Place,
-    read_bytes: u64,
+    beginning: Beginning,
     preface_until: Pin<Box<Sleep>>,
     write_until: Pin<Box<Sleep>>,
     is_write_pending: bool,
@@ -194,6 +195,30 @@ pub struct Guarded {
     patience: Patience,
     /// Answer that replaces one of the HTTP library.
     instead: Option<Instead>,
+}
+
+/// The first bytes of a connection, which tell its protocol.
+#[derive(Default)]
+struct Beginning {
+    bytes: usize,
+    is_http1: bool,
+}
+
+impl Beginning {
+    fn note(&mut self, bytes: &[u8]) {
+        let expected = &PREFACE[self.bytes..];
+        let new = &bytes[..bytes.len().min(expected.len())];
+        self.is_http1 |= !expected.starts_with(new);
+        self.bytes += new.len();
+    }
+
+    fn is_whole(&self) -> bool {
+        self.bytes == PREFACE.len()
+    }
+
+    fn is_http2(&self) -> bool {
+        self.is_whole() && !self.is_http1
+    }
 }
 
 /// An answer in transit, and the bytes read after it.
@@ -208,7 +233,7 @@ impl Guarded {
         Self {
             stream,
             _place: place,
-            read_bytes: 0,
+            beginning: Beginning::default(),
             preface_until: Box::pin(tokio::time::sleep(read_timeout)),
             write_until: Box::pin(tokio::time::sleep(STALLED)),
             is_write_pending: false,
@@ -268,7 +293,7 @@ impl Guarded {
         context: &mut Context<'_>,
         result: Poll<std::io::Result<usize>>,
     ) -> Poll<std::io::Result<usize>> {
-        if self.patience.is_over(context) {
+        if self.patience.is_over(context, self.beginning.is_http2()) {
             return Poll::Ready(Err(std::io::ErrorKind::TimedOut.into()));
         }
         if let Poll::Ready(Ok(bytes)) = result
@@ -309,16 +334,17 @@ impl AsyncRead for Guarded {
         context: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<std::io::Result<()>> {
-        if self.patience.is_over(context) {
+        let is_http2 = self.beginning.is_http2();
+        if self.patience.is_over(context, is_http2) {
             return Poll::Ready(Err(std::io::ErrorKind::TimedOut.into()));
         }
         let before = buffer.filled().len();
         match Pin::new(&mut self.stream).poll_read(context, buffer) {
             Poll::Ready(result) => {
-                self.read_bytes += (buffer.filled().len() - before) as u64;
+                self.beginning.note(&buffer.filled()[before..]);
                 Poll::Ready(result)
             }
-            Poll::Pending if self.read_bytes < PREFACE_BYTES => {
+            Poll::Pending if !self.beginning.is_whole() => {
                 match self.preface_until.as_mut().poll(context) {
                     Poll::Ready(()) => Poll::Ready(Err(std::io::ErrorKind::TimedOut.into())),
                     Poll::Pending => Poll::Pending,
@@ -374,5 +400,31 @@ impl AsyncWrite for Guarded {
         context: &mut Context<'_>,
     ) -> Poll<std::io::Result<()>> {
         Pin::new(&mut self.stream).poll_shutdown(context)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_bytes_tell_the_protocol() {
+        // Bytes may come one by one, and others follow them.
+        for pieces in [1, 5, 23, 24, 64] {
+            let sent = [PREFACE.as_slice(), &[0; 40]].concat();
+            let mut beginning = Beginning::default();
+            for piece in sent.chunks(pieces) {
+                beginning.note(piece);
+            }
+            assert!(beginning.is_http2(), "{pieces}");
+            let mut beginning = Beginning::default();
+            for piece in b"PROPFIND / HTTP/1.1\r\nhost: a\r\n\r\n".chunks(pieces) {
+                beginning.note(piece);
+            }
+            assert!(beginning.is_whole() && !beginning.is_http2(), "{pieces}");
+        }
+        let mut short = Beginning::default();
+        short.note(&PREFACE[..23]);
+        assert!(!short.is_whole() && !short.is_http2());
     }
 }

@@ -151,18 +151,20 @@ async function loaded(id, names) {
   let isCancelled = false;
   cancel = () => { isCancelled = true; };
   while (!isCancelled) {
-    let scene = null;
+    let scene = null, pause = POLL_MS;
     try {
       scene = await getJson(sceneUrl(id));
     } catch (problem) {
       // A restarted server loads what its predecessor received. A proxy before it answers meanwhile.
       if (!isPassing(problem)) throw problem;
+      // A key over its rate stays over it if the page asks again before that time.
+      pause = Math.max(pause, problem.retry_after_ms || 0);
       say(`${names}: received; the server does not answer just now …`, null);
     }
     if (scene?.state === 'failed') throw scene.problem;
     if (scene?.state === 'ready') return id;
     if (scene) say(`${names}: received, being loaded for ${Math.round(scene.loading_ms / 1000)} s …`, null);
-    await new Promise(resolve => setTimeout(resolve, POLL_MS));
+    await new Promise(resolve => setTimeout(resolve, pause));
   }
   return null;
 }

@@ -167,3 +167,31 @@ fn what_could_not_be_sent_is_kept_until_it_is() {
     shows(&browser, "late");
     assert_eq!(browser.script("return document.getElementById('message').hidden"), true);
 }
+
+#[test]
+fn a_server_that_names_a_pause_is_not_asked_before() {
+    let Some(driver) = driver_or_skip() else { return };
+    let (_daemon, browser) = opened(&driver);
+    // The upload is still loading when it is answered. The first question about the scene is refused for three seconds.
+    browser.script(
+        "const open = XMLHttpRequest.prototype.open; \
+         XMLHttpRequest.prototype.open = function (method, url) { \
+             open.call(this, method, url); \
+             Object.defineProperty(this, 'status', { get: () => 202 }); \
+             Object.defineProperty(this, 'responseText', { get: () => JSON.stringify({ id: 'slow', state: 'loading' }) }); \
+         }; \
+         const real = window.fetch; \
+         window.asked = []; \
+         window.fetch = async (url, options) => { \
+             if (!String(url).endsWith('/v1/scenes/slow')) return real(url, options); \
+             asked.push(performance.now()); \
+             return asked.length > 1 ? real(url, options) \
+                 : new Response('{}', { status: 429, headers: { 'Retry-After': '3' } }); \
+         }",
+    );
+    drop_files(&browser, &[("slow.ply", PLY)]);
+    shows(&browser, "slow");
+    let pause = browser.script("return asked[1] - asked[0]").as_f64().unwrap();
+    assert!(pause >= 2900.0, "the page asked again after {pause} ms");
+    assert_eq!(browser.console_errors(), Vec::<String>::new());
+}

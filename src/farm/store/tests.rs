@@ -219,6 +219,32 @@ async fn films_are_removed_that_no_server_stores_again() {
     }
 }
 
+#[tokio::test(start_paused = true)]
+async fn a_film_that_cannot_be_removed_keeps_no_other() {
+    let (folder, store) = store();
+    store.claim().await.unwrap();
+    // Films are removed in the order of their names.
+    let [stuck, dead] = ["a".repeat(32), "b".repeat(32)];
+    // A folder in place of the order cannot be removed.
+    let order = folder.path().join("deep/store/films").join(&stuck).join("order.json");
+    std::fs::create_dir_all(&order).unwrap();
+    std::fs::write(order.join("part"), "").unwrap();
+    store.put_frame(&dead, "aa", b"one").await.unwrap();
+    let (late, mut suspects) = (SystemTime::now() + 2 * ABANDONED, Suspects::new());
+    assert_eq!(store.clean_films(late, &mut suspects).await.unwrap(), 0);
+    let error = store.clean_films(late, &mut suspects).await.unwrap_err().to_string();
+    assert!(error.contains(&stuck), "{error}");
+    assert_eq!(store.list(&dead).await.unwrap(), Listing::default());
+}
+
+/// A power cut cannot be tested; the option that syncs files and folders can.
+#[test]
+fn folders_sync_what_they_acknowledge() {
+    let (_folder, store) = store();
+    let objects = format!("{:?}", store.objects);
+    assert!(objects.contains("fsync: true"), "{objects}");
+}
+
 #[tokio::test]
 async fn assets_are_stored_once_and_checked() {
     let (folder, store) = store();

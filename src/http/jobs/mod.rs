@@ -58,6 +58,9 @@ fn job_id(text: &str) -> Result<JobId, Problem> {
 }
 
 /// Runs a closure on a thread that may block; for the job of an address, only if the job belongs to `owner`.
+///
+/// # Errors
+/// 404: there is no such job, or the job belongs to another key. Also the problems of the closure.
 async fn blocking<T: Send + 'static>(
     app: &Arc<App>,
     owner: &Owner,
@@ -67,9 +70,8 @@ async fn blocking<T: Send + 'static>(
     let (jobs, number) = (jobs(app)?, job_id(id)?);
     let found = jobs.owner(number).map_err(|error| job_problem(&jobs, id, error))?;
     if !owner.is_theirs(found.as_deref()) {
-        return Err(Problem::new(Kind::Forbidden, format!("job {number} belongs to another key"))
-            .at("Authorization")
-            .accepted("the key that created the job, or a key of scope admin"));
+        // As for a job that does not exist: a key does not learn how many jobs others have.
+        return Err(wire::unknown_job(id));
     }
     let worker = jobs.clone();
     tokio::task::spawn_blocking(move || work(&worker, number))

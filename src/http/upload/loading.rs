@@ -178,20 +178,39 @@ async fn forget_failure(app: Arc<App>, id: String, load: Load) {
 mod tests {
     use super::*;
 
-    /// A proxy that gives up first answers 504 for an upload that succeeds.
-    #[test]
-    fn the_proxies_wait_for_as_long_as_clients_may() {
-        const HAPROXY: [&str; 2] = ["backend keeper\n", "timeout server "];
-        const NGINX: [&str; 2] = ["location / {\n", "proxy_read_timeout "];
-        for (text, [section, setting]) in [
-            (include_str!("../../../deploy/haproxy.cfg"), HAPROXY),
-            (include_str!("../../../deploy/kubernetes/haproxy.cfg"), HAPROXY),
-            (include_str!("../../../deploy/nginx.conf"), NGINX),
-        ] {
+    /// Returns how long each proxy waits for an answer, in a section of HAProxy's files and one of nginx's.
+    fn patience(haproxy: &str, nginx: &str) -> [Duration; 3] {
+        let seconds = |text: &str, section: &str, setting: &str| {
             let (_, section) = text.split_once(section).unwrap();
             let (_, value) = section.split_once(setting).unwrap();
             let (seconds, _) = value.split_once('s').unwrap();
-            assert!(Duration::from_secs(seconds.parse().unwrap()) > MAX_WAIT, "{seconds}");
+            Duration::from_secs(seconds.parse().unwrap())
+        };
+        let haproxy = |text| seconds(text, haproxy, "timeout server ");
+        [
+            haproxy(include_str!("../../../deploy/haproxy.cfg")),
+            haproxy(include_str!("../../../deploy/kubernetes/haproxy.cfg")),
+            seconds(include_str!("../../../deploy/nginx.conf"), nginx, "proxy_read_timeout "),
+        ]
+    }
+
+    /// A proxy that gives up first answers 504 for an upload that succeeds.
+    #[test]
+    fn the_proxies_wait_for_as_long_as_clients_may() {
+        for wait in patience("backend keeper\n", "location / {\n") {
+            assert!(wait > MAX_WAIT, "{wait:?}");
+        }
+    }
+
+    /// A proxy that gives up first hides the server's answer, which names the limit and when to try again.
+    #[test]
+    fn the_proxies_wait_for_longer_than_a_server_does_for_a_frame() {
+        let settings = include_str!("../../../deploy/pointillist.toml");
+        let (_, limit) = settings.split_once("frame-timeout-seconds = ").unwrap();
+        let (limit, _) = limit.split_once('\n').unwrap();
+        let limit = Duration::from_secs(limit.parse().unwrap());
+        for wait in patience("defaults\n", "location ~ ^/v1/scenes/[^/]+/frame$ {\n") {
+            assert!(wait > limit, "{wait:?}");
         }
     }
 }
