@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # What accuracy costs in time for three scenes, VTK and Open3D at equal picture error, the tables of four papers with ours beside them, and the
-# promises of frames, in one report: target/report/index.html, report.md, report.json and headline.svg.
+# promises of frames, and every effect beside the reference, in one report: target/report/index.html, report.md, report.json and headline.svg.
 #
-#   scripts/report.sh [PART…]      all parts, or the named ones (town plaza relief equal stability checkerboard planner audit splats pull_push painted lod trees)
-#   REPORT_RECORD=1                copies the plot to docs/img/cost.svg, and the report to benches/results/, named after the day
+#   scripts/report.sh [PART…]      all parts, or the named ones (town plaza relief equal stability checkerboard planner audit splats pull_push painted lod trees effects)
+#   REPORT_RECORD=1                copies the plot to docs/img/cost.svg, the sheets of effects to docs/img/effects-*.png, and the report to benches/results/, named after the day
 #   REPORT_QUICK=1                 smoke check in two minutes: tiny sizes, figures without meaning, in target/report-quick
 #   REPORT_FRESH=1                 measures everything anew
 #   REPORT_MINUTES=N               time for all measurements, without building [30]
@@ -14,7 +14,7 @@ set -euo pipefail
 
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 is_set() { [ -n "${1:-}" ] && [ "$1" != 0 ]; }
-all=(town plaza relief equal stability checkerboard planner audit splats pull_push painted lod trees)
+all=(town plaza relief equal stability checkerboard planner audit splats pull_push painted lod trees effects)
 if [ "$#" -gt 0 ]; then parts=("$@"); else parts=("${all[@]}"); fi
 for part in "${parts[@]}"; do
     case " ${all[*]} " in *" $part "*) ;; *)
@@ -39,12 +39,12 @@ folder=$REPORT_FOLDER
 
 # Everything is built before anything is timed.
 benches/peers/install.sh || echo "!! SKIPPED: the peers, which could not be installed"
-benches=(equal painted splats lod pull_push trees planner audit report)
+benches=(equal painted splats lod pull_push trees planner audit effects report)
 # That builds the program as well, without a second copy of the library.
 cargo bench --locked --no-run "${benches[@]/#/--bench=}"
 
 # Measurements of another build, or of another extent, are not continued.
-build="$(cksum <"$binary") $(cat benches/*.rs benches/common/*.rs benches/peers/*.py | cksum)"
+build="$(cksum <"$binary") $(cat benches/*.rs benches/common/*.rs benches/effects/*.rs benches/peers/*.py | cksum)"
 if is_set "${REPORT_FRESH:-}" || [ "$build" != "$(cat "$folder/build" 2>/dev/null)" ]; then rm -rf "$folder"; fi
 mkdir -p "$folder/benches" "$folder/parts"
 echo "$build" >"$folder/build"
@@ -90,6 +90,11 @@ measure() { # PART
     trees) bench trees ;;
     planner) PLANNER_SCENES=$planner_scenes PLANNER_POSES=$planner_poses bench planner ;;
     audit) AUDIT_POSES=$audit_poses bench audit ;;
+    effects)
+        rm -f "$folder"/effects-*.png
+        bench effects
+        cp target/bench/effects/effects-*.png "$folder/"
+        ;;
     esac
 }
 # Seconds that a part may take, several times what it takes on two cores with nothing else to do.
@@ -98,6 +103,7 @@ limit_s() {
     equal) echo 600 ;;
     planner) echo 600 ;;
     audit) echo 480 ;;
+    effects) echo 400 ;;
     town | plaza) echo 300 ;;
     *) echo 240 ;;
     esac
@@ -162,9 +168,10 @@ if is_set "${REPORT_RECORD:-}"; then
         exit 2
     fi
     cp "$folder/headline.svg" docs/img/cost.svg
+    if [ -f "$folder/effects-1.png" ]; then cp "$folder"/effects-*.png docs/img/; fi
     cp "$folder/report.md" "benches/results/report-$(date -u +%F).md"
-    # The report shows the plot beside it.
-    sed -i 's|(headline.svg)|(../../docs/img/cost.svg)|; /^\[.*index.html)$/d' "benches/results/report-$(date -u +%F).md"
+    # The report shows the plot and the sheets beside it.
+    sed -i 's|(headline.svg)|(../../docs/img/cost.svg)|; s|(\(effects-[0-9]*.png\))|(../../docs/img/\1)|; /^\[.*index.html)$/d' "benches/results/report-$(date -u +%F).md"
     echo "report: recorded docs/img/cost.svg and benches/results/report-$(date -u +%F).md"
 fi
 failed=()

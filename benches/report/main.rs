@@ -1,5 +1,6 @@
-//! The report of `make report`: what accuracy costs in three scenes, the peers at equal picture error, the tables of the four papers, and the
-//! promises, from what `scripts/report.sh` has measured into `target/report/`, or into the folder of `REPORT_FOLDER`.
+//! The report of `make report`: what accuracy costs in three scenes, the peers at equal picture error, the tables of the four papers, the
+//! promises, and the effects beside the reference renderer, from what `scripts/report.sh` has measured into `target/report/`, or into the folder of
+//! `REPORT_FOLDER`.
 //!
 //! Writes `report.md`, `report.json` and one self-contained `index.html` beside the measurements.
 
@@ -51,8 +52,17 @@ impl Found {
             serde_json::from_slice(&bytes).with_context(|| file.display().to_string())
         };
         let mut benches = Map::new();
-        for name in ["equal", "painted", "splats", "lod", "pull_push", "trees", "planner", "audit"]
-        {
+        for name in [
+            "equal",
+            "painted",
+            "splats",
+            "lod",
+            "pull_push",
+            "trees",
+            "planner",
+            "audit",
+            "effects",
+        ] {
             let found = json(&format!("benches/{name}.json"))?;
             if !found.is_null() {
                 benches.insert(name.to_owned(), found);
@@ -88,6 +98,7 @@ fn main() -> anyhow::Result<()> {
         papers::zwicker(&found),
         papers::marroquim(&found),
         papers::coconu(&found),
+        effects(&found)?,
         circumstances(&found),
     ];
     let all = json!({
@@ -223,6 +234,27 @@ fn peers(found: &Found) -> Section {
     }
     section.tables_of(&bench.0, "");
     section
+}
+
+/// Every effect beside the reference renderer: the sheets, and the figures of each row.
+fn effects(found: &Found) -> anyhow::Result<Section> {
+    let mut section = Section::new("Effects beside the reference renderer");
+    let Some(Bench(bench)) = found.bench("effects") else {
+        section.text("The bench effects has no results.");
+        return Ok(section);
+    };
+    section.text("Each row of a sheet is an effect: off, on, the reference renderer's frame with it, and eight times the difference of the last two.");
+    for number in 1.. {
+        let Some(shown) = bench["values"][format!("sheet {number}")].as_str() else { break };
+        let file = format!("effects-{number}.png");
+        let path = found.folder.join(&file);
+        let png = std::fs::read(&path).with_context(|| path.display().to_string())?;
+        let text = format!("From the top: {shown}");
+        section.text(text.clone());
+        section.blocks.push(Block::Picture(png, file, text));
+    }
+    section.tables_of(&bench, "");
+    Ok(section)
 }
 
 fn circumstances(found: &Found) -> Section {

@@ -1,5 +1,7 @@
 //! The report's pages: the same sections as Markdown and as one self-contained HTML page.
 
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
 
 use crate::common::report::markdown_table;
@@ -11,6 +13,8 @@ pub enum Block {
     Table(String, Vec<String>, Vec<Vec<String>>),
     /// An SVG, and its file beside the pages.
     Plot(String, &'static str),
+    /// A PNG, its file beside the pages, and what it shows.
+    Picture(Vec<u8>, String, String),
     /// A page in a folder beside the pages, and what it shows.
     Link(String, String),
 }
@@ -52,6 +56,7 @@ impl Section {
                 json!({ "title": title, "columns": columns, "rows": rows })
             }
             Block::Plot(_, file) => json!({ "plot": file }),
+            Block::Picture(_, file, _) => json!({ "picture": file }),
             Block::Link(file, _) => json!({ "page": file }),
         };
         let blocks: Vec<Value> = self.blocks.iter().map(block).collect();
@@ -79,6 +84,7 @@ pub fn markdown(title: &str, sections: &[Section]) -> String {
                     format!("\n{}\n\n{}", cell(title), markdown_table(&columns, &rows))
                 }
                 Block::Plot(_, file) => format!("\n![{}]({file})\n", section.title),
+                Block::Picture(_, file, text) => format!("\n![{text}]({file})\n"),
                 Block::Link(file, text) => format!("\n[{text}]({file})\n"),
             };
         }
@@ -95,7 +101,7 @@ const STYLE: &str = "\
   caption { text-align: left; padding: 0.5rem 0; font-weight: 600; }
   th, td { border-bottom: 1px solid var(--line); padding: 0.25rem 0.7rem; text-align: right; }
   th:first-child, td:first-child { text-align: left; }
-  svg { max-width: 100%; height: auto; }
+  svg, img { max-width: 100%; height: auto; }
 ";
 
 pub fn html(title: &str, sections: &[Section]) -> String {
@@ -125,6 +131,11 @@ pub fn html(title: &str, sections: &[Section]) -> String {
                     )
                 }
                 Block::Plot(svg, _) => format!("<figure>{svg}</figure>\n"),
+                Block::Picture(png, _, text) => format!(
+                    "<figure><img alt=\"{}\" src=\"data:image/png;base64,{}\"></figure>\n",
+                    escaped(text),
+                    STANDARD.encode(png)
+                ),
                 Block::Link(file, text) => {
                     format!("<p><a href=\"{}\">{}</a></p>\n", escaped(file), escaped(text))
                 }
