@@ -557,13 +557,18 @@ fn methods_without_depths_are_replaced() {
     let cloud = Shape::cloud(2000, [-1.0, -1.0, -0.3], [1.0, 1.0, 0.3], 5);
     let scene = json!({
         "assets": { "m": { "file": "m.glb" }, "c": { "file": "c.ply" } },
-        "nodes": [{ "asset": "m" }, { "asset": "c" }]
+        "nodes": [{ "asset": "m" }, { "asset": "c" }],
+        "lights": [{ "kind": "ambient", "intensity": 0.5 }],
+        "ambient_occlusion": { "radius": 0.4 }
     });
     let files = [("m.glb", glb.finish()), ("c.ply", cloud.ply())];
     let case = Case::new("glass-and-points", &files, &scene);
     for method in [Reconstruct::Fuzzy, Reconstruct::Painted, Reconstruct::PullPush] {
-        let receipt = case.draw_wide(&view(), Settings::drawn_as(method)).receipt;
-        assert!(receipt.settings.instead_because.is_some(), "{method:?}");
-        assert!(receipt.translucent.is_some(), "{method:?}");
+        let frames = case.draw_wide(&view(), Settings::drawn_as(method));
+        assert!(frames.receipt.settings.instead_because.is_some(), "{method:?}");
+        assert!(frames.receipt.translucent.is_some(), "{method:?}");
+        // In place of the other two, splats are lit one by one.
+        let is_occluded = frames.ran(Pass::AmbientOcclusion);
+        assert_eq!(is_occluded, method == Reconstruct::PullPush, "{method:?}");
     }
 }
