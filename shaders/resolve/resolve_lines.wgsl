@@ -92,12 +92,25 @@ fn line_lights(albedo: vec3<f32>, material: Material, direction: vec3<f32>, plac
 }
 
 // Segments of a tube lie over each other where they meet, and where they are shorter than the tube is wide. How far apart they may seem there, as a
-// factor of the radius and as a share of the distance, and how many vertices of the file lie at most between them.
+// factor of the radius and as a share of the distance.
 const JOINT: f32 = 1.1;
 const JOINT_SLACK: f32 = 4e-6;
-const JOINT_REACH: u32 = 64u;
 
-// Whether a place on a segment lies within another segment of its strand, which the word of a layer before shows.
+fn is_in_tube(line: Line, place: vec3<f32>) -> bool {
+    let from_a = place - line.a;
+    let foot = clamp(dot(from_a, line.ab) / max(dot(line.ab, line.ab), 1e-37), 0.0, 1.0);
+    let radius = mix(line.radius.x, line.radius.y, foot);
+    return length(from_a - line.ab * foot) <= JOINT * radius + JOINT_SLACK * length(place);
+}
+
+// Whether the strand of a segment begins or ends with it, and does so within another segment.
+fn ends_in_tube(one: Line, other: Line) -> bool {
+    return ((one.link & LINE_BEGINS) != 0u && is_in_tube(other, one.a))
+        || ((one.link & LINE_ENDS) != 0u && is_in_tube(other, one.b));
+}
+
+// Whether a place on a segment lies within another one, which the word of a layer before shows, of the same strand or of one that begins or ends
+// on it. A strand is known by its hash: another one has the same only if hundreds of strands lie between them in the file.
 fn is_in_strand(before: vec2<u32>, own: Line, instance: u32, place: vec3<f32>) -> bool {
     let run = runs[frame.first_run + segment.index];
     let index = slot_of(before);
@@ -107,16 +120,15 @@ fn is_in_strand(before: vec2<u32>, own: Line, instance: u32, place: vec3<f32>) -
     let slot = frame.first_slot + index;
     let chunk = slots[slot].chunk;
     let element = chunks[chunk].first + (~before.x & SLOT_MASK);
-    let number = line_segments[element].y;
-    if slots[slot].instance != instance || max(number, own.number) - min(number, own.number) > JOINT_REACH {
+    let link = line_segments[element].x;
+    let is_same = (link & LINE_HASH) == (own.link & LINE_HASH);
+    let may_fork = ((link | own.link) & (LINE_BEGINS | LINE_ENDS)) != 0u;
+    if slots[slot].instance != instance || !(is_same || may_fork) {
         return false;
     }
     let at = placed[frame.first_instance + instance];
     let line = line_of(at, radius_scale(at), chunks[chunk].vertex_first, element);
-    let from_a = place - line.a;
-    let foot = clamp(dot(from_a, line.ab) / max(dot(line.ab, line.ab), 1e-37), 0.0, 1.0);
-    let radius = mix(line.radius.x, line.radius.y, foot);
-    return length(from_a - line.ab * foot) <= JOINT * radius + JOINT_SLACK * length(place);
+    return is_in_tube(line, place) && (is_same || ends_in_tube(own, line) || ends_in_tube(line, own));
 }
 
 // Whether a pixel's ray is within the strand already where it meets a segment: a strand hides once between where a ray enters and leaves it.

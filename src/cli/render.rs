@@ -96,7 +96,8 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     if let Some(file) = &args.receipt {
         write(file, &serde_json::to_vec_pretty(&median.receipt)?)?;
     }
-    if let Some(why) = median.receipt.hardly_visible() {
+    let receipt = &median.receipt;
+    for why in [receipt.hardly_visible(), receipt.left_out()].into_iter().flatten() {
         say!("warning: {why}");
     }
     say!(

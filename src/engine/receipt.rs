@@ -12,6 +12,8 @@ use crate::scene::recolor::{ColorMap, Recolor};
 
 /// Fewer pixels than this are easily overlooked.
 const FEW_PIXELS: u64 = 20;
+/// A share of the light that is one step of a byte.
+const LITTLE_LIGHT: f32 = 1.0 / 255.0;
 
 /// The request as understood, the work that was done, and its cost. Times and counts that the adapter cannot
 /// give are `null`, never invented.
@@ -95,6 +97,16 @@ impl Receipt {
                 if drawn == 1 { "pixel of the image shows" } else { "pixels of the image show" };
             format!("hardly anything is visible: {drawn} {pixels} samples")
         })
+    }
+
+    /// What may be missing behind the translucent surfaces that are kept, where a pixel may differ by more than [`LITTLE_LIGHT`].
+    pub fn left_out(&self) -> Option<String> {
+        let TranslucentReceipt { layers, most_left_out, .. } =
+            self.translucent.filter(|drawn| drawn.most_left_out > LITTLE_LIGHT)?;
+        let percent = 100.0 * most_left_out;
+        Some(format!(
+            "pixels may lack translucent surfaces behind their nearest {layers}, which let up to {percent:.1} % of the light pass"
+        ))
     }
 
     /// `gpu_ns`, divided equally among the frames that were drawn together.

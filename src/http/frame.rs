@@ -21,7 +21,7 @@ use crate::plan::Given;
 use super::params::FrameParams;
 
 pub const RECEIPT_HEADER: HeaderName = HeaderName::from_static("pointillist-receipt");
-/// Header that says why little or nothing is visible, or that the frame is provisional.
+/// Header that says why little or nothing is visible, that translucent surfaces may be missing, or that the frame is provisional.
 pub const WARNING_HEADER: HeaderName = HeaderName::from_static("pointillist-warning");
 pub const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
 /// Time for which a bake goes on after the deadline of the request that needed it.
@@ -66,7 +66,7 @@ const REVALIDATE: HeaderValue = HeaderValue::from_static("no-cache");
                 ("ETag" = String, description = "Strong, known before rendering"),
                 ("Server-Timing" = String, description = "Milliseconds of queue, batch, each pass, device-wait, readback, encode-wait, encode, and their total"),
                 ("Pointillist-Receipt" = String, description = "A `Receipt` as one line of JSON, ASCII only"),
-                ("Pointillist-Warning" = Option<String>, description = "Why little or nothing can be seen in the image, or that the frame is provisional, where that is so"),
+                ("Pointillist-Warning" = Option<String>, description = "Why little or nothing can be seen in the image, that translucent surfaces may be missing, or that the frame is provisional, where that is so"),
             ),
         ),
         (status = 304, description = "The client has this frame already"),

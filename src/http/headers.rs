@@ -40,12 +40,14 @@ fn entry(line: &mut String, name: &str, ns: u64, words: std::fmt::Arguments<'_>)
     let _ = write!(line, "{comma}{name};dur={ms}.{us:03};desc=\"{words}\"");
 }
 
-/// `Pointillist-Warning`: the reason why little or nothing is visible, and a note where the frame is not final.
+/// `Pointillist-Warning`: the reason why little or nothing is visible, that translucent surfaces may be missing, and a note where the frame is not
+/// final.
 pub fn warning(receipt: &Receipt) -> Option<HeaderValue> {
     let provisional = receipt.settings.provisional.as_ref().map(|why| {
         format!("the frame is provisional: {why}; wait=complete waits for the final frame")
     });
-    let warnings: Vec<String> = receipt.hardly_visible().into_iter().chain(provisional).collect();
+    let found = [receipt.hardly_visible(), receipt.left_out(), provisional];
+    let warnings: Vec<String> = found.into_iter().flatten().collect();
     if warnings.is_empty() { None } else { HeaderValue::from_str(&warnings.join("; ")).ok() }
 }
 
@@ -76,7 +78,7 @@ pub fn ascii_json(value: &impl serde::Serialize) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::receipt::PassReceipt;
+    use crate::engine::receipt::{PassReceipt, TranslucentOrder, TranslucentReceipt};
 
     #[test]
     fn receipts_survive_any_name() {
@@ -89,6 +91,28 @@ mod tests {
         assert_eq!(back["scene"], r.scene);
         r.scene = "plain".into();
         assert!(receipt(&r).unwrap().to_str().unwrap().contains("\"scene\":\"plain\""));
+    }
+
+    /// More than a byte's step of light behind the surfaces that are kept is told, less is not.
+    #[test]
+    fn missing_translucent_surfaces_are_warned_of() {
+        let warned = |most_left_out| {
+            let order = TranslucentOrder::PixelDepth;
+            let (layers, deepest, pixels_of_all_layers) = (8, 8, 5);
+            let translucent = Some(TranslucentReceipt {
+                order,
+                layers,
+                deepest,
+                pixels_of_all_layers,
+                most_left_out,
+            });
+            let line = warning(&Receipt { translucent, ..Receipt::default() });
+            line.map(|line| line.to_str().unwrap().to_owned())
+        };
+        let told = warned(0.168).unwrap();
+        assert!(told.contains("behind their nearest 8") && told.contains("16.8 %"), "{told}");
+        assert_eq!([warned(0.0), warned(0.0039)], [None, None]);
+        assert!(warned(0.004).is_some());
     }
 
     #[test]

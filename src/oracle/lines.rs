@@ -208,24 +208,47 @@ pub fn add<Kept: Send>(
 
 /// How far the places of segments of a strand may seem apart where they meet, in radii.
 const JOINT: f64 = 1.1;
-/// How many vertices lie at most between such segments.
-const JOINT_REACH: u32 = 64;
 
-/// Whether a hit lies within the segment that a nearer hit shows, on the same strand: a strand hides once between where a ray enters and leaves it.
+/// Whether a hit lies within the segment that a nearer hit shows, of the same strand or of one that begins or ends on it: a strand hides once
+/// between where a ray enters and leaves it.
 pub fn is_joint(prepared: &Prepared<'_>, view: &View, before: &Hit, hit: &Hit, ray: DVec3) -> bool {
     let item = &prepared.items[hit.item as usize];
     let Geometry::Lines(lines) = item.item.geometry else { return false };
-    if before.item != hit.item || before.index.abs_diff(hit.index) > JOINT_REACH {
+    if before.item != hit.item {
         return false;
     }
-    let seen = Seen::new(item, lines, (view, prepared.scene.least_line_px), before.index);
-    let Some(Shape::Tube(Tube { ends: [a, b], radii })) = seen.map(|seen| seen.shape) else {
-        return false;
+    let width = (view, prepared.scene.least_line_px);
+    let segment = |vertex: u32| {
+        let Seen { shape: Shape::Tube(tube), range } = Seen::new(item, lines, width, vertex)?
+        else {
+            return None;
+        };
+        let strand = lines.strand_of(vertex);
+        let begins = strand.start == vertex as usize && range[0] == 0.0;
+        let ends = strand.end == vertex as usize + 2 && range[1] == 1.0;
+        Some((tube, strand, [begins, ends]))
     };
-    let (axis, from_a) = (b - a, view.at_depth(ray, hit.depth) - a);
+    let Some((nearer, strand, ends)) = segment(before.index) else { return false };
+    if !is_in_tube(&nearer, view.at_depth(ray, hit.depth)) {
+        return false;
+    }
+    let Some((own, own_strand, own_ends)) = segment(hit.index) else { return false };
+    strand == own_strand
+        || ends_in_tube((&own, own_ends), &nearer)
+        || ends_in_tube((&nearer, ends), &own)
+}
+
+fn is_in_tube(tube: &Tube, place: DVec3) -> bool {
+    let [a, b] = tube.ends;
+    let (axis, from_a) = (b - a, place - a);
     let foot = (from_a.dot(axis) / axis.length_squared().max(1e-100)).clamp(0.0, 1.0);
-    let radius = radii[0] + (radii[1] - radii[0]) * foot;
+    let radius = tube.radii[0] + (tube.radii[1] - tube.radii[0]) * foot;
     (from_a - axis * foot).length() <= JOINT * radius
+}
+
+/// Whether a strand begins or ends with a segment, as the flags say of its ends, and does so within another segment.
+fn ends_in_tube((one, is_end): (&Tube, [bool; 2]), other: &Tube) -> bool {
+    one.ends.iter().zip(is_end).any(|(&end, is_end)| is_end && is_in_tube(other, end))
 }
 
 /// The point of a segment that a pixel shows.

@@ -45,6 +45,7 @@ function facts(info, poses) {
     ...(receipt.settings.because ? [['chosen', `${receipt.settings.reconstruct}: ${receipt.settings.because}`]] : []),
     ...(receipt.settings.provisional ? [['provisional', receipt.settings.provisional]] : []),
     ...(receipt.settings.instead_because ? [['instead', receipt.settings.instead_because]] : []),
+    ...(receipt.translucent?.most_left_out > 1 / 255 ? [['left out', `translucent surfaces behind the nearest ${receipt.translucent.layers} of a pixel, up to ${(100 * receipt.translucent.most_left_out).toFixed(1)} % of the light`]] : []),
     ['triangles', `${count(triangles.stored)} stored, ${count(triangles.tested)} tested, ${count(triangles.rasterised)} rasterised`],
     ...(segments.stored ? [['segments', `${count(segments.stored)} stored, ${count(segments.tested)} tested, ${count(segments.listed)} listed`]] : []),
     ['instances', `${count(instances.stored)} stored, ${count(instances.drawn)} drawn`],

@@ -411,28 +411,81 @@ fn nodes_of_points_and_lines_with_translucent_colors() {
     assert!([5, 6].iter().all(|id| !frames.id.contains(id) && !exact.id.contains(id)));
 }
 
+/// The frame of wide tubes of these strands before white; each lets half of the light pass.
+fn half_tubes(name: &str, strands: &[Vec<DVec3>]) -> Frames {
+    let strands: Vec<Vec<_>> =
+        strands.iter().map(|strand| strand.iter().map(|&at| (at, 0.2, [0; 3])).collect()).collect();
+    let file = lines::with_alpha(lines::vtk(&strands), 0.5);
+    let scene = json!({ "assets": { "l": { "file": "l.vtk" } }, "nodes": [{ "asset": "l" }],
+        "lights": [], "background": "#ffffff" });
+    let case = Case::new(name, &[("l.vtk", file)], &scene);
+    let points = Settings::drawn_as(Reconstruct::Points);
+    case.draw_with(&look([0.0, 0.0, 4.0], [0.0; 3], 45.0), points)
+}
+
+/// Counts the pixels that are not white, those that half of the white reaches, and those that a quarter of it reaches.
+fn hidden_pixels(name: &str, frames: &Frames) -> [usize; 3] {
+    let count = |is_counted: &dyn Fn(u8) -> bool| {
+        frames.color.iter().filter(|pixel| is_counted(pixel[0])).count()
+    };
+    let byte =
+        |linear: f64| (pointillist::scene::color::srgb_from_linear(linear) * 255.0).round() as u8;
+    let [half, quarter] = [byte(0.5), byte(0.25)];
+    let found = [
+        count(&|red| red < 255),
+        count(&|red| red.abs_diff(half) <= 1),
+        count(&|red| red.abs_diff(quarter) <= 1),
+    ];
+    println!("{name}: {found:?}");
+    found
+}
+
 /// A tube hides once in every pixel, however short its segments are.
 #[test]
 fn tubes_of_short_segments_hide_once() {
-    let place = |at: DVec3| (at, 0.2, [0; 3]);
     for (name, step, bend) in [("long", 0.4, 0.0), ("short", 0.06, 0.0), ("wave", 0.06, 0.4)] {
         let count = (2.4 / step) as usize;
         let along = |i: usize| -1.2 + i as f64 * step;
-        let strand =
-            (0..=count).map(|i| place(DVec3::new(along(i), bend * (2.0 * along(i)).sin(), 0.0)));
-        let file = lines::with_alpha(lines::vtk(&[strand.collect()]), 0.5);
-        let scene = json!({ "assets": { "l": { "file": "l.vtk" } }, "nodes": [{ "asset": "l" }],
-            "lights": [], "background": "#ffffff" });
-        let case = Case::new(&format!("once-{name}"), &[("l.vtk", file)], &scene);
-        let view = look([0.0, 0.0, 4.0], [0.0; 3], 45.0);
-        let frames = case.draw_with(&view, Settings::drawn_as(Reconstruct::Points));
-        // Half of white, in linear light.
-        let half = (pointillist::scene::color::srgb_from_linear(0.5) * 255.0).round() as u8;
-        let crossed = frames.color.iter().filter(|pixel| pixel[0] < 255).count();
-        let once = frames.color.iter().filter(|pixel| pixel[0].abs_diff(half) <= 1).count();
-        println!("{name}: {once} of {crossed} pixels hide half");
+        let strand = (0..=count).map(|i| DVec3::new(along(i), bend * (2.0 * along(i)).sin(), 0.0));
+        let frames = half_tubes(&format!("once-{name}"), &[strand.collect()]);
+        let [crossed, once, _] = hidden_pixels(name, &frames);
         assert!(crossed > 1000 && crossed - once <= crossed / 200, "{name}: {once} of {crossed}");
     }
+}
+
+/// The two ends of a ring of 84 segments hide once where they meet.
+#[test]
+fn rings_hide_once_where_they_close() {
+    let place = |i: usize| {
+        let (sin, cos) = (std::f64::consts::TAU * (i % 84) as f64 / 84.0).sin_cos();
+        DVec3::new(0.8 * cos, 0.8 * sin, 0.0)
+    };
+    let frames = half_tubes("once-ring", &[(0..=84).map(place).collect()]);
+    let [crossed, once, _] = hidden_pixels("ring", &frames);
+    assert!(crossed > 1000 && crossed - once <= crossed / 200, "{once} of {crossed}");
+}
+
+/// A strand that begins or ends on another one hides once with it, though many vertices lie between them in the file.
+#[test]
+fn branches_hide_once_where_they_begin() {
+    let [left, right] = [DVec3::X * -1.2, DVec3::X * 1.2];
+    let far: Vec<DVec3> = (0..80).map(|i| DVec3::new(0.02 * f64::from(i), -50.0, 0.0)).collect();
+    let strands = [
+        vec![left, DVec3::ZERO, right],
+        far,
+        vec![DVec3::ZERO, DVec3::Y],
+        vec![DVec3::NEG_Y, DVec3::ZERO],
+    ];
+    let [crossed, once, _] = hidden_pixels("fork", &half_tubes("once-fork", &strands));
+    assert!(crossed > 1000 && crossed - once <= crossed / 200, "{once} of {crossed}");
+}
+
+/// Strands that cross hide twice where they do, also if they are neighbours in the file.
+#[test]
+fn strands_that_cross_hide_twice() {
+    let strands = [vec![DVec3::NEG_X, DVec3::X], vec![DVec3::NEG_Y, DVec3::Y]];
+    let [crossed, once, twice] = hidden_pixels("cross", &half_tubes("twice-cross", &strands));
+    assert!(twice > 150 && crossed - once - twice <= crossed / 200, "{twice} of {crossed}");
 }
 
 /// A line far thinner than a pixel dims what is behind it by its alpha times its width, in every pixel that it crosses.
@@ -504,13 +557,18 @@ fn methods_without_depths_are_replaced() {
     let cloud = Shape::cloud(2000, [-1.0, -1.0, -0.3], [1.0, 1.0, 0.3], 5);
     let scene = json!({
         "assets": { "m": { "file": "m.glb" }, "c": { "file": "c.ply" } },
-        "nodes": [{ "asset": "m" }, { "asset": "c" }]
+        "nodes": [{ "asset": "m" }, { "asset": "c" }],
+        "lights": [{ "kind": "ambient", "intensity": 0.5 }],
+        "ambient_occlusion": { "radius": 0.4 }
     });
     let files = [("m.glb", glb.finish()), ("c.ply", cloud.ply())];
     let case = Case::new("glass-and-points", &files, &scene);
     for method in [Reconstruct::Fuzzy, Reconstruct::Painted, Reconstruct::PullPush] {
-        let receipt = case.draw_wide(&view(), Settings::drawn_as(method)).receipt;
-        assert!(receipt.settings.instead_because.is_some(), "{method:?}");
-        assert!(receipt.translucent.is_some(), "{method:?}");
+        let frames = case.draw_wide(&view(), Settings::drawn_as(method));
+        assert!(frames.receipt.settings.instead_because.is_some(), "{method:?}");
+        assert!(frames.receipt.translucent.is_some(), "{method:?}");
+        // In place of the other two, splats are lit one by one.
+        let is_occluded = frames.ran(Pass::AmbientOcclusion);
+        assert_eq!(is_occluded, method == Reconstruct::PullPush, "{method:?}");
     }
 }

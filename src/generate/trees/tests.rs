@@ -62,6 +62,32 @@ fn both_forms_have_equal_stems() {
     assert!(trunk > 0.0 && ((solid - trunk) / cones - 1.0).abs() < 0.12, "{solid} {trunk} {cones}");
 }
 
+/// Stems begin on the axes of their parents, which are at least twice as wide there. So forks have no notch, and the round ends of stems lie
+/// within their parents.
+#[test]
+fn stems_begin_within_their_parents() {
+    let branches = lines(&SMALL, &Progress::none()).branches;
+    let radii = branches.radii.as_ref().unwrap();
+    // The radius of a stem where it begins on another one, over the radius of that.
+    let share_of_parent = |first: u32| {
+        let (place, own) = (branches.positions[first as usize], branches.strand_of(first));
+        let others = branches.segments().map(|vertex| vertex as usize);
+        let shares = others.filter(|vertex| !own.contains(vertex)).filter_map(|vertex| {
+            let [a, b] = [branches.positions[vertex], branches.positions[vertex + 1]];
+            let along = ((place - a).dot(b - a) / (b - a).length_squared()).clamp(0.0, 1.0);
+            let radius = radii[vertex] + along as f32 * (radii[vertex + 1] - radii[vertex]);
+            let is_on = place.distance(a.lerp(b, along)) < 1e-6;
+            is_on.then(|| radii[first as usize] / radius)
+        });
+        shares.reduce(f32::max)
+    };
+    let firsts = &branches.strands[..branches.strands.len() - 1];
+    let shares: Vec<f32> = firsts.iter().filter_map(|&first| share_of_parent(first)).collect();
+    // The two limbs begin on the trunk, which is no line.
+    assert_eq!(shares.len(), 51 + 3);
+    assert!(shares.iter().all(|&share| share < 0.5 + 1e-4), "{shares:?}");
+}
+
 #[test]
 fn trees_are_as_large_as_asked_for() {
     for height in [0.5, 8.0] {

@@ -283,3 +283,18 @@ pub(in crate::bake::pack) fn packing_bytes(lines: &Polylines) -> u64 {
             * lines.positions.len() as u64
         + 4 * lines.strands.len() as u64
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Shaders tell the strands of translucent tubes by their hashes.
+    #[test]
+    fn hashes_of_near_strands_differ() {
+        let hash = |strand: u32| strand_word(strand, 0, false, false);
+        for strand in 0..2000 {
+            let is_alone = (1..600).all(|apart| hash(strand) != hash(strand + apart));
+            assert!(is_alone, "{strand}");
+        }
+    }
+}
