@@ -40,6 +40,8 @@ impl Studio {
         let folder = tempfile::tempdir().unwrap();
         let mut config = EngineConfig::new(folder.path());
         config.encoder_threads = 2;
+        // However slow the machine, no frame is refused because others are estimated to take long.
+        config.queue_time = Duration::from_secs(3600);
         adjust(&mut config);
         Studio { engine: Engine::start(config).unwrap(), folder }
     }
