@@ -458,30 +458,31 @@ fn main() -> anyhow::Result<()> {
     let mut kept = true;
     for (setting, total) in SETTINGS.iter().zip(&totals).filter(|(s, _)| s.error_px.is_some()) {
         let outline = total.beyond.iter().copied().fold(0.0, f64::max);
-        let what = format!("outline of {} beyond the accepted error", setting.name);
+        let (frames, flights) = (total.beyond.len(), total.flicker.len());
+        let what = format!("outline of {} beyond the accepted error, of {frames}", setting.name);
         report.target(&what, Some(outline), Bound::AtMost(OUTLINE_SLACK_PX), "px");
         kept &= outline <= OUTLINE_SLACK_PX;
         let flicker = quantile(&total.flicker, 1.0);
         let bound = if setting.error_px == Some(1.0) { 1.2 } else { 1.5 };
         report.target(
-            &format!("flicker of {}", setting.name),
+            &format!("flicker of {}, of {flights} flights", setting.name),
             Some(flicker),
             Bound::AtMost(bound),
             "×",
         );
         let rejected = rejected(total);
         report.target(
-            &format!("nodes that {} tests and does not draw", setting.name),
+            &format!("nodes that {} tests and does not draw, of {frames} frames", setting.name),
             rejected,
             Bound::AtMost(40.0),
             "%",
         );
-        let time = format!("slowest frame of {}, over full detail", setting.name);
+        let time = format!("slowest frame of {}, over full detail, of {frames}", setting.name);
         report.target(&time, Some(quantile(&total.time, 1.0)), Bound::AtMost(1.05), "×");
         if setting.reconstruct == Reconstruct::Splats {
             let holes = total.holes as f64;
             report.target(
-                &format!("holes of {}", setting.name),
+                &format!("holes of {}, of {frames} frames", setting.name),
                 Some(holes),
                 Bound::AtMost(0.0),
                 "pixels",

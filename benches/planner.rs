@@ -264,7 +264,7 @@ fn main() -> anyhow::Result<()> {
     );
     let lost = Some(median(&errors.lost)).filter(|lost| lost.is_finite());
     report.target(
-        "time over the best setting that keeps the PSNR, median",
+        &format!("time over the best setting that keeps the PSNR, median of {}", errors.lost.len()),
         lost,
         Bound::AtMost(1.03),
         "times",

@@ -2,7 +2,7 @@
 # What accuracy costs in time for three scenes, VTK and Open3D at equal picture error, the tables of four papers with ours beside them, and the
 # promises of frames, and every effect beside the reference, in one report: target/report/index.html, report.md, report.json and headline.svg.
 #
-#   scripts/report.sh [PART…]      all parts, or the named ones (town plaza relief equal stability checkerboard planner audit splats pull_push painted lod trees effects)
+#   scripts/report.sh [PART…]      all parts, or the named ones (town plaza relief equal stability promises checkerboard planner audit splats pull_push painted lod trees effects)
 #   REPORT_RECORD=1                copies the plot to docs/img/cost.svg, the sheets of effects to docs/img/effects-*.png, and the report to benches/results/, named after the day
 #   REPORT_QUICK=1                 smoke check in two minutes: tiny sizes, figures without meaning, in target/report-quick
 #   REPORT_FRESH=1                 measures everything anew
@@ -14,7 +14,7 @@ set -euo pipefail
 
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 is_set() { [ -n "${1:-}" ] && [ "$1" != 0 ]; }
-all=(town plaza relief equal stability checkerboard planner audit splats pull_push painted lod trees effects)
+all=(town plaza relief equal stability promises checkerboard planner audit splats pull_push painted lod trees effects)
 if [ "$#" -gt 0 ]; then parts=("$@"); else parts=("${all[@]}"); fi
 for part in "${parts[@]}"; do
     case " ${all[*]} " in *" $part "*) ;; *)
@@ -31,9 +31,9 @@ export REPORT_FOLDER=target/report
 if is_set "${REPORT_QUICK:-}"; then
     REPORT_FOLDER=target/report-quick
     export BENCH_QUICK=1
-    planner_scenes=scenes/relief.json planner_poses=1 audit_poses=1
+    planner_scenes=scenes/relief.json planner_poses=1 audit_poses=1 stability_views=1 promises_extent=--quick
 else
-    planner_scenes=scenes/town.json,scenes/relief.json planner_poses=20 audit_poses=10
+    planner_scenes=scenes/town.json,scenes/relief.json planner_poses=20 audit_poses=10 stability_views=32 promises_extent=
 fi
 folder=$REPORT_FOLDER
 
@@ -65,6 +65,22 @@ survey() { # NAME SCENE [OPTIONS…]
     "$binary" accuracy "$scene" -o "$folder/$name" --seed 1 "$@"
 }
 
+# Splats of hard cases, and random views of hard scenes. A run that ends with an error after it has written its figures has found a broken bound, which the
+# report prints.
+stability() {
+    local status=0 found=$folder/stability/stability.json
+    rm -f "$found"
+    "$binary" accuracy --stability --scenes scenes/hard/*.json --views "$stability_views" -o "$folder/stability" || status=$?
+    [ -f "$found" ] || return "$status"
+}
+
+# Promises without times, checked by a script with the peers' Python, or without them with any.
+promises() {
+    local python=target/peers/venv/bin/python
+    [ -x "$python" ] || python=python3
+    "$python" benches/peers/promises.py "$binary" -o "$folder/benches/promises.json" ${promises_extent:+"$promises_extent"}
+}
+
 # A ground with a checker, seen at a flat angle, as in Figures 6 and 7 of Zwicker et al. 2004.
 checkerboard() {
     "$binary" generate checkerboard --points 60000 --seed 1 -o "$folder/checkerboard.ply"
@@ -81,7 +97,8 @@ measure() { # PART
     plaza) survey plaza scenes/plaza.json --camera assembly --size 480x270 ;;
     relief) survey relief scenes/relief.json --camera front --size 480x270 ;;
     checkerboard) checkerboard ;;
-    stability) "$binary" accuracy --stability -o "$folder/stability" ;;
+    stability) stability ;;
+    promises) promises ;;
     equal) bench equal ;;
     painted) bench painted ;;
     splats) BENCH_SPLATS=paper bench splats ;;

@@ -51,22 +51,11 @@ impl Report {
 
     /// Prints whether a target is met; `measured` is `None` where it could not be measured.
     pub fn target(&mut self, what: &str, measured: Option<f64>, bound: Bound, unit: &str) {
-        let (sign, limit, met) = match bound {
-            Bound::AtLeast(limit) => ("≥", limit, measured.map(|value| value >= limit)),
-            Bound::AtMost(limit) => ("≤", limit, measured.map(|value| value <= limit)),
-            Bound::Below(limit) => ("<", limit, measured.map(|value| value < limit)),
-        };
-        let verdict = verdict(met);
-        let shown = measured.map_or("—".to_owned(), number);
-        println!("{verdict}: {what}: {shown} {unit} (target {sign} {} {unit})", number(limit));
-        self.targets.push(json!({
-            "what": what,
-            "measured": measured,
-            "unit": unit,
-            "target": format!("{sign} {}", number(limit)),
-            "limit": limit,
-            "met": met,
-        }));
+        let target = judged(what, measured, bound, unit);
+        let (verdict, shown) = (verdict(target["met"].as_bool()), shown(&target));
+        let limit = target["target"].as_str().unwrap_or_default();
+        println!("{verdict}: {what}: {shown} {unit} (target {limit} {unit})");
+        self.targets.push(target);
     }
 
     /// Writes the JSON.
@@ -89,6 +78,31 @@ impl Report {
         println!("\nwrote {}", file.display());
         Ok(())
     }
+}
+
+/// A target and what was measured, as the JSON has them.
+pub fn judged(what: &str, measured: Option<f64>, bound: Bound, unit: &str) -> Value {
+    let (sign, limit, met) = match bound {
+        Bound::AtLeast(limit) => ("≥", limit, measured.map(|value| value >= limit)),
+        Bound::AtMost(limit) => ("≤", limit, measured.map(|value| value <= limit)),
+        Bound::Below(limit) => ("<", limit, measured.map(|value| value < limit)),
+    };
+    json!({
+        "what": what,
+        "measured": measured,
+        "unit": unit,
+        "target": format!("{sign} {}", number(limit)),
+        "limit": limit,
+        "met": met,
+    })
+}
+
+/// What was measured of a target. A value that breaks the bound by little has more digits, so that it does not look like the bound.
+pub fn shown(target: &Value) -> String {
+    let Some(value) = target["measured"].as_f64() else { return "—".to_owned() };
+    let text = number(value);
+    let is_alike = target["limit"].as_f64().is_some_and(|limit| number(limit) == text);
+    if is_alike && target["met"] == false { format!("{value:.6}") } else { text }
 }
 
 pub fn verdict(met: Option<bool>) -> &'static str {

@@ -33,9 +33,20 @@ add_open3d() {
     fi
 }
 
+# FLIP as its authors publish it. Where PyPI has no build of it, a C++ compiler is needed.
+add_flip() {
+    if "$venv/bin/python" -c 'import flip_evaluator' 2>/dev/null ||
+        "$venv/bin/pip" install --quiet --disable-pip-version-check 'flip-evaluator>=1.7'; then
+        echo "peers: flip-evaluator $("$venv/bin/pip" show flip-evaluator | sed -n 's/^Version: //p')"
+    else
+        echo "peers: no flip-evaluator: it cannot be installed from PyPI here" >&2
+    fi
+}
+
 if [ -x "$venv/bin/python" ] && "$venv/bin/python" -c "$imports" 2>/dev/null; then
     echo "peers: already installed in $venv"
     add_open3d
+    add_flip
     exit 0
 fi
 
@@ -65,3 +76,4 @@ from importlib.metadata import version
 print("peers: " + ", ".join(f"{name} {version(name)}" for name in ("vtk", "numpy", "trame", "trame-vtk", "laspy", "nibabel")))
 PY
 add_open3d
+add_flip

@@ -12,13 +12,13 @@ mod papers;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use common::report::{number, verdict};
+use common::report::{Bound, judged, number, shown, verdict};
 use page::{Block, Section, html, markdown};
 use serde_json::{Map, Value, json};
 
 const TITLE: &str = "Pointillist: what accuracy costs, beside peers and papers";
 /// Benches whose promises are printed.
-const PROMISING: [&str; 2] = ["planner", "audit"];
+const PROMISING: [&str; 3] = ["promises", "planner", "audit"];
 
 /// A bench's JSON.
 pub struct Bench(Value);
@@ -52,17 +52,8 @@ impl Found {
             serde_json::from_slice(&bytes).with_context(|| file.display().to_string())
         };
         let mut benches = Map::new();
-        for name in [
-            "equal",
-            "painted",
-            "splats",
-            "lod",
-            "pull_push",
-            "trees",
-            "planner",
-            "audit",
-            "effects",
-        ] {
+        let measured = ["equal", "painted", "splats", "lod", "pull_push", "trees", "effects"];
+        for name in measured.into_iter().chain(PROMISING) {
             let found = json(&format!("benches/{name}.json"))?;
             if !found.is_null() {
                 benches.insert(name.to_owned(), found);
@@ -178,32 +169,74 @@ fn headline(found: &Found) -> anyhow::Result<Section> {
     Ok(section)
 }
 
+/// A line of the table of promises.
+fn promise(beginning: &str, target: &Value) -> Vec<String> {
+    let text = |key: &str| target[key].as_str().unwrap_or_default();
+    vec![
+        format!("{beginning}{}", text("what")),
+        format!("{} {}", shown(target), text("unit")),
+        format!("{} {}", text("target"), text("unit")),
+        verdict(target["met"].as_bool()).to_owned(),
+    ]
+}
+
+/// What `accuracy --stability` found: splats of hard cases, and random views of hard scenes.
+fn stability(found: &Found) -> Vec<Value> {
+    let list = |value: &Value| value.as_array().cloned().unwrap_or_default();
+    let (classes, scenes) = (list(&found.stability["rows"]), list(&found.stability["scenes"]));
+    let holding = classes.iter().filter(|class| class["holds"] == true).count() as f64;
+    let (all, each) = (classes.len(), found.stability["count"].as_u64().unwrap_or_default());
+    let sum = |key: &str| scenes.iter().filter_map(|scene| scene[key].as_f64()).sum::<f64>();
+    let views = sum("views");
+    let of_views = |what: &str, key: &str| {
+        let what = format!("{what}, of {} views of {} scenes", number(views), scenes.len());
+        judged(&what, (views > 0.0).then(|| sum(key)), Bound::AtMost(0.0), "views")
+    };
+    vec![
+        judged(
+            &format!(
+                "classes of hard splats in which all of {each} keep their error bounds, of {all}"
+            ),
+            (all > 0).then_some(holding),
+            Bound::AtLeast(all as f64),
+            "classes",
+        ),
+        of_views("random views with a NaN or an infinite value in depths or normals", "not_finite"),
+        of_views("random views that change more than a small step explains", "unsteady"),
+    ]
+}
+
+/// Seconds of a part that was measured to its end.
+fn seconds(part: &[String]) -> Option<f64> {
+    let [_, seconds, state] = part else { return None };
+    if state == "done" { seconds.parse().ok() } else { None }
+}
+
 fn promises(found: &Found) -> Section {
     let mut section = Section::new("Promises");
-    let mut rows = Vec::new();
+    let mut rows: Vec<Vec<String>> =
+        stability(found).iter().map(|target| promise("stability: ", target)).collect();
     for name in PROMISING {
         let Some(bench) = found.bench(name) else {
             section.text(format!("The bench {name} has no results."));
             continue;
         };
         for target in bench.0["targets"].as_array().into_iter().flatten() {
-            let text = |key: &str| target[key].as_str().unwrap_or_default();
-            rows.push(vec![
-                format!("{name}: {}", text("what")),
-                format!(
-                    "{} {}",
-                    target["measured"].as_f64().map_or("—".to_owned(), number),
-                    text("unit")
-                ),
-                format!("{} {}", text("target"), text("unit")),
-                verdict(target["met"].as_bool()).to_owned(),
-            ]);
+            let beginning = if name == "promises" { String::new() } else { format!("{name}: ") };
+            rows.push(promise(&beginning, target));
         }
     }
+    let whole: Option<f64> = found.parts.iter().map(|part| seconds(part)).sum();
+    let what = format!("time to measure all {} parts", found.parts.len());
+    let took = judged(&what, whole.map(|seconds| seconds / 60.0), Bound::Below(40.0), "min");
+    rows.push(promise("report: ", &took));
     section.table(
         "What frames promise, and what was found",
         &["promise", "found", "bound", ""],
         rows,
+    );
+    section.text(
+        "Random views of the hard scenes are few here. A million of them takes hours: `pointillist accuracy --stability --scenes scenes/hard/*.json --views 72000`.",
     );
     for name in PROMISING {
         if let Some(bench) = found.bench(name) {

@@ -2,19 +2,22 @@
 //!
 //! A frame that has to have at least so many decibels takes the time of the fastest setting that has them. The price of a level is that time
 //! over the time of the level below it. The price of a decibel in a scene is the factor of time from the fastest point of its front to the
-//! most exact one that differs from the reference, spread evenly over the decibels between them ([`price`]).
+//! most exact one that differs from the reference, spread evenly over the decibels between them ([`price`]). A second price is that from one fixed
+//! level to another, because fronts of different reports begin and end elsewhere.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::results::{NO_SAMPLES, three_digits};
+use super::results::{NO_SAMPLES, decibels_down, three_digits};
 use super::sweep::{Price, Quartiles, pareto, price};
 
 /// Decibels between two levels, and the same where there would be more than [`MOST_LEVELS`] of them.
 const LEVEL_DB: f64 = 5.0;
 const WIDE_LEVEL_DB: f64 = 10.0;
 const MOST_LEVELS: f64 = 10.0;
+/// Levels between which the price can be compared with that of another report.
+const FIXED_DB: [f64; 2] = [30.0, 40.0];
 
 /// Why a report tells no price.
 #[derive(Debug, thiserror::Error)]
@@ -96,6 +99,8 @@ pub struct Curve {
     pub points: Vec<Point>,
     /// The price from the fastest point to the most exact one that differs from the reference.
     pub price: Option<Price>,
+    /// The price from the fastest point with at least 30 dB to the fastest with at least 40 dB.
+    pub price_30_to_40_db: Option<Price>,
 }
 
 impl Curve {
@@ -136,13 +141,14 @@ impl Curve {
             poses: scope.name,
             reference: identity.reference,
             price: whole_price(&points),
+            price_30_to_40_db: fixed_price(&points),
             points,
         })
     }
 
     /// The fastest point that has at least so many decibels.
     pub fn at_least(&self, decibels: f64) -> Option<&Point> {
-        self.points.iter().find(|point| point.decibels() >= decibels)
+        at_least(&self.points, decibels)
     }
 
     /// The scene's name without the ending of its file.
@@ -162,11 +168,15 @@ impl Curve {
                 three_digits(price.times)
             );
         };
+        let [low, high] = FIXED_DB;
+        let fixed = self.price_30_to_40_db.as_ref().and_then(percent);
+        let fixed =
+            fixed.map_or_else(String::new, |each| format!("; {each:.0} % from {low} to {high} dB"));
         format!(
-            "{}: {percent:.0} % more time for one more decibel, from {:.1} dB to {:.1} dB ({} times the time)",
+            "{}: {percent:.0} % more time for one more decibel, from {} dB to {} dB ({} times the time){fixed}",
             self.name(),
-            price.from_db,
-            price.to_db,
+            decibels_down(price.from_db),
+            decibels_down(price.to_db),
             three_digits(price.times)
         )
     }
@@ -177,18 +187,39 @@ fn percent(price: &Price) -> Option<f64> {
     Some(100.0 * (price.times_per_db? - 1.0))
 }
 
-/// The points that no other point beats in time and decibels. Points whose decibels are NaN, or whose time is not finite, are left out.
+/// The points that no other point beats in time and decibels, where the noise of times tells them apart: a point whose quartiles reach those of the next more
+/// exact one is left out. Points whose decibels are NaN, or whose time is not finite, are left out as well.
 fn front(points: Vec<Point>) -> Vec<Point> {
     let pairs: Vec<(f64, f64)> =
         points.iter().map(|point| (point.gpu_ms.median, -point.decibels())).collect();
     let mut points: Vec<Option<Point>> = points.into_iter().map(Some).collect();
-    pareto(&pairs).into_iter().filter_map(|index| points[index].take()).collect()
+    let mut kept: Vec<Point> = Vec::new();
+    // From the most exact one, so that a row of points that each reach the next is not left out as a whole.
+    for point in pareto(&pairs).into_iter().rev().filter_map(|index| points[index].take()) {
+        if kept.last().is_none_or(|next| point.gpu_ms.high < next.gpu_ms.low) {
+            kept.push(point);
+        }
+    }
+    kept.reverse();
+    kept
+}
+
+/// The fastest point that has at least so many decibels.
+fn at_least(points: &[Point], decibels: f64) -> Option<&Point> {
+    points.iter().find(|point| point.decibels() >= decibels)
 }
 
 fn whole_price(points: &[Point]) -> Option<Price> {
     let last = points.iter().rev().find(|point| point.decibels().is_finite())?;
     let place = |point: &Point| (point.gpu_ms.median, point.decibels());
     price(place(points.first()?), place(last))
+}
+
+/// The levels count here, whatever their points have above them.
+fn fixed_price(points: &[Point]) -> Option<Price> {
+    let [low, high] = FIXED_DB;
+    let ms = |level: f64| at_least(points, level).map(|point| point.gpu_ms.median);
+    price((ms(low)?, low), (ms(high)?, high))
 }
 
 /// What a level costs in a scene.
@@ -259,17 +290,26 @@ fn levels(curves: &[Curve]) -> Vec<Level> {
 }
 
 fn summary(curves: &[Curve]) -> String {
-    let prices: Vec<f64> =
-        curves.iter().filter_map(|curve| curve.price.as_ref()).filter_map(percent).collect();
-    let least = prices.iter().copied().fold(f64::INFINITY, f64::min);
-    let most = prices.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    match prices.len() {
-        0 => "No scene has settings of different accuracy.".to_owned(),
-        1 => format!("One more decibel costs {most:.0} % more time on average."),
-        _ => format!(
-            "One more decibel costs {least:.0} to {most:.0} % more time on average, depending on the scene."
-        ),
-    }
+    let Some(whole) = percents(curves, |curve| curve.price) else {
+        return "No scene has settings of different accuracy.".to_owned();
+    };
+    let depending = if whole.contains(" to ") { ", depending on the scene" } else { "" };
+    let [low, high] = FIXED_DB;
+    let fixed = percents(curves, |curve| curve.price_30_to_40_db);
+    let fixed = fixed
+        .map_or_else(String::new, |each| format!(" From {low} to {high} dB, it costs {each}."));
+    format!("One more decibel costs {whole} more time on average{depending}.{fixed}")
+}
+
+/// What a decibel adds to the time in the scenes that have a price, from the least to the most; `None` where no scene has one.
+fn percents(curves: &[Curve], of: fn(&Curve) -> Option<Price>) -> Option<String> {
+    let all: Vec<f64> = curves.iter().filter_map(of).filter_map(|price| percent(&price)).collect();
+    let least = all.iter().copied().reduce(f64::min)?;
+    let most = all.iter().copied().reduce(f64::max)?;
+    Some(match all.len() {
+        1 => format!("{most:.0} %"),
+        _ => format!("{least:.0} to {most:.0} %"),
+    })
 }
 
 #[cfg(test)]
@@ -295,6 +335,7 @@ pub(super) mod tests {
             poses: "all poses".into(),
             reference: "the reference".into(),
             price: whole_price(&points),
+            price_30_to_40_db: fixed_price(&points),
             points,
         }
     }
@@ -344,14 +385,43 @@ pub(super) mod tests {
         assert_eq!((price.from_db, price.to_db, price.times), (28.0, 38.0, 4.0));
         assert_eq!(
             costs.curves[0].answer(),
-            "town: 15 % more time for one more decibel, from 28.0 dB to 38.0 dB (4.00 times the time)"
+            "town: 15 % more time for one more decibel, from 28.0 dB to 38.0 dB (4.00 times the time); 10 % from 30 to 40 dB"
         );
         assert_eq!(costs.curves[1].answer(), "lone: no slower setting is more exact");
-        assert_eq!(costs.summary, "One more decibel costs 15 % more time on average.");
+        assert_eq!(
+            costs.summary,
+            "One more decibel costs 15 % more time on average. From 30 to 40 dB, it costs 10 %."
+        );
         let close = curve("close", vec![point("a", Some(30.0), 2.0), point("b", Some(30.5), 3.0)]);
         assert!(close.answer().contains("less than a decibel"), "{}", close.answer());
         let two = summary(&[costs.curves[0].clone(), costs.curves[0].clone()]);
         assert!(two.starts_with("One more decibel costs 15 to 15 %"), "{two}");
+    }
+
+    /// The town takes 8 ms for 30 dB and 20 ms for 40 dB, although its points have 38 dB and no error. The other scene does not reach 40 dB.
+    #[test]
+    fn prices_between_fixed_levels_do_not_depend_on_where_fronts_end() {
+        let costs = costs();
+        let fixed = costs.curves[0].price_30_to_40_db.unwrap();
+        assert_eq!((fixed.from_db, fixed.to_db, fixed.times), (30.0, 40.0, 2.5));
+        assert_eq!(costs.curves[1].price_30_to_40_db, None);
+    }
+
+    /// What misses a level by a hair is not said to have it.
+    #[test]
+    fn decibels_are_rounded_down() {
+        let points = vec![point("a", Some(29.993), 2.0), point("b", Some(39.993), 4.0)];
+        let answer = curve("scene", points).answer();
+        assert!(answer.contains("from 29.9 dB to 39.9 dB (2.00 times"), "{answer}");
+    }
+
+    /// Quartiles reach from 0.9 to 1.2 times the median: those of `b` reach those of `c`, those of `a` reach `b`'s alone.
+    #[test]
+    fn points_within_the_noise_of_the_next_are_no_steps() {
+        let points = [("a", 30.0, 10.0), ("b", 33.0, 12.5), ("c", 35.0, 14.0), ("d", 40.0, 30.0)];
+        let points = points.map(|(row, db, ms)| point(row, Some(db), ms)).to_vec();
+        let rows: Vec<String> = front(points).into_iter().map(|point| point.label).collect();
+        assert_eq!(rows, ["a", "c", "d"]);
     }
 
     #[test]

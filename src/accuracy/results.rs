@@ -354,7 +354,9 @@ fn summary(scope: &Scope) -> String {
     };
     let ms = |entry: &Entry| entry.gpu_ms.map_or(f64::NAN, |time| time.median);
     let at = |entry: &Entry| match entry.psnr_db {
-        Some(db) => format!("{} ({}, {db:.1} dB)", entry.row, milliseconds(ms(entry))),
+        Some(db) => {
+            format!("{} ({}, {} dB)", entry.row, milliseconds(ms(entry)), decibels_down(db))
+        }
         None => format!("{} ({}, equal to the reference)", entry.row, milliseconds(ms(entry))),
     };
     let equal = equal.filter(|_| front.len() > 1);
@@ -382,9 +384,9 @@ fn summary(scope: &Scope) -> String {
         format!(": one more decibel costs {:.0} % more time on average", 100.0 * (times - 1.0))
     });
     format!(
-        "From {:.1} dB to {:.1} dB costs {}× the time{average}. The fastest setting is {}, the most exact {}.{spread}{equal}",
-        price.from_db,
-        price.to_db,
+        "From {} dB to {} dB costs {}× the time{average}. The fastest setting is {}, the most exact {}.{spread}{equal}",
+        decibels_down(price.from_db),
+        decibels_down(price.to_db),
         three_digits(price.times),
         at(first),
         at(last),
@@ -394,6 +396,12 @@ fn summary(scope: &Scope) -> String {
 /// A time with its unit.
 pub fn milliseconds(ms: f64) -> String {
     format!("{} ms", three_digits(ms))
+}
+
+/// Decibels with one digit, rounded down: what is told as 30.0 dB keeps a goal of 30 dB.
+pub fn decibels_down(decibels: f64) -> String {
+    // A hair more, because the logarithm of a whole tenth may lie just below it.
+    format!("{:.1}", (10.0 * (decibels + 1e-9)).floor() / 10.0)
 }
 
 /// A number with three digits, or all digits before the point.

@@ -99,7 +99,7 @@ pub fn cost_markdown(costs: &Costs) -> String {
         }
         out += "\n";
     }
-    out += "\nThe Pareto fronts: no other setting is both faster and closer to the reference.\n\n| scene | setting | GPU, ms (quartiles) | PSNR |\n|---|---|---|---|\n";
+    out += "\nThe Pareto fronts: no other setting is both faster and closer to the reference, beyond the noise of the times.\n\n| scene | setting | GPU, ms (quartiles) | PSNR |\n|---|---|---|---|\n";
     for curve in &costs.curves {
         for point in &curve.points {
             let [low, median, high] =
