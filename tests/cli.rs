@@ -259,6 +259,25 @@ fn accuracy_says_what_it_cannot_measure() {
     }
 }
 
+/// The same reason stands in the receipt, which few people read.
+#[test]
+fn a_goal_that_is_not_promised_is_told_on_standard_error() {
+    let shell = Shell::new();
+    let expected = "warning: the goal of 20 ms is not promised: the scene was not measured";
+    let size = ["--size", "64x64"];
+    for (line, is_told) in [
+        (&["render", "cloud.ply", "--budget-ms", "20", "-o", "a.png"][..], true),
+        (&["stereo", "cloud.ply", "--budget-ms", "20", "-o", "b.png"], true),
+        (&["render", "cloud.ply", "-o", "c.png"], false),
+    ] {
+        let output = shell.run(&[line, &size].concat());
+        let told = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.success(), "{line:?}: {told}");
+        assert_eq!(told.contains(expected), is_told, "{line:?}: {told}");
+        assert_eq!(told.contains("promised"), is_told, "{line:?}: {told}");
+    }
+}
+
 #[test]
 fn no_cache_writes_nothing() {
     let shell = Shell::new();

@@ -109,7 +109,7 @@ pub fn run(args: PanoramaArgs) -> anyhow::Result<()> {
         FrameRequest { width: side + 2 * MARGIN_PX, height: side + 2 * MARGIN_PX, ..request };
     // Settings for a goal are chosen once: faces that are drawn differently would have seams.
     let asked = FACES.each_ref().map(|face| eye.face(&drawn, face, side));
-    let settings = engine.settings_for_all(&asked)?.unwrap_or(drawn.settings);
+    let settings = super::path::settings_for_all(&engine, &asked, drawn.settings)?;
     let drawn = FrameRequest { settings, ..drawn };
     super::path::bake(&engine, &eye.face(&drawn, &FACES[0], side))?;
     let settings = alike(&engine, &eye, &drawn, side)?;

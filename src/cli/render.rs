@@ -99,7 +99,7 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     if let Some(file) = &args.receipt {
         write(file, &serde_json::to_vec_pretty(&median.receipt)?)?;
     }
-    if let Some(why) = median.receipt.hardly_visible() {
+    for why in median.receipt.warnings() {
         say!("warning: {why}");
     }
     say!(

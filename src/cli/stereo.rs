@@ -73,7 +73,7 @@ pub fn run(args: StereoArgs) -> anyhow::Result<()> {
         })
     };
     // Settings for a goal are chosen once, so that both eyes see the same.
-    let settings = engine.settings_for_all(&eyes(&request))?.unwrap_or(request.settings);
+    let settings = super::path::settings_for_all(&engine, &eyes(&request), request.settings)?;
     let request = FrameRequest { settings, ..request };
     super::path::bake(&engine, &request)?;
     let [left, right] = eyes(&request).map(|request| engine.submit(request));

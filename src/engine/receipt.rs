@@ -79,8 +79,14 @@ pub struct Receipt {
 }
 
 impl Receipt {
+    /// What a person who looks at the frame should know: why little or nothing can be seen, and why the goal of the request is not promised.
+    pub fn warnings(&self) -> Vec<String> {
+        let unpromised = self.planned.as_ref().and_then(PlanReceipt::unpromised);
+        self.hardly_visible().into_iter().chain(unpromised).collect()
+    }
+
     /// Why little or nothing can be seen, where that is so.
-    pub fn hardly_visible(&self) -> Option<String> {
+    fn hardly_visible(&self) -> Option<String> {
         if let Some(why) = &self.nothing_visible {
             return Some(format!("nothing is visible: {why}"));
         }

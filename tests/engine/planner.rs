@@ -273,7 +273,8 @@ fn a_film_keeps_its_goal_with_one_setting() {
         FrameRequest { pose: Pose::Camera(camera), ..asking(&[("min_psnr_db", "28")]) }
     };
     let frames = [at(2.0), at(3.0), at(30.0)];
-    let settings: Settings = studio.engine.settings_for_all(&frames).unwrap().unwrap();
+    let (settings, plan) = studio.engine.settings_for_all(&frames).unwrap().unwrap();
+    assert!(plan.min_psnr_db == Some(28.0) && plan.chosen.is_some() && plan.poses == 8, "{plan:?}");
     assert!(settings.goal().is_none() && settings.reconstruct == Reconstruct::Splats);
     assert!(settings.lod == Lod::Spt || settings.lod == Lod::Full);
     let plain = FrameRequest { settings: Settings::default(), ..at(2.0) };
