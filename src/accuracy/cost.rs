@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::results::{NO_SAMPLES, three_digits};
-use super::sweep::{Price, Quartiles, pareto, price};
+use super::sweep::{Price, Quartiles, pareto, price, roughness};
 
 /// Decibels between two levels, and the same where there would be more than [`MOST_LEVELS`] of them.
 const LEVEL_DB: f64 = 5.0;
@@ -163,8 +163,9 @@ impl Curve {
             );
         };
         format!(
-            "{}: {percent:.0} % more time for one more decibel, from {:.1} dB to {:.1} dB ({} times the time)",
+            "{}: {percent:.0} % more time for one more decibel{}, from {:.2} dB to {:.2} dB ({} times the time)",
             self.name(),
+            roughness(self.repeats),
             price.from_db,
             price.to_db,
             three_digits(price.times)
@@ -263,11 +264,13 @@ fn summary(curves: &[Curve]) -> String {
         curves.iter().filter_map(|curve| curve.price.as_ref()).filter_map(percent).collect();
     let least = prices.iter().copied().fold(f64::INFINITY, f64::min);
     let most = prices.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let priced = curves.iter().filter(|curve| curve.price.is_some());
+    let rough = priced.map(|curve| curve.repeats).min().map_or_else(String::new, roughness);
     match prices.len() {
         0 => "No scene has settings of different accuracy.".to_owned(),
-        1 => format!("One more decibel costs {most:.0} % more time on average."),
+        1 => format!("One more decibel costs {most:.0} % more time on average{rough}."),
         _ => format!(
-            "One more decibel costs {least:.0} to {most:.0} % more time on average, depending on the scene."
+            "One more decibel costs {least:.0} to {most:.0} % more time on average{rough}, depending on the scene."
         ),
     }
 }
@@ -344,10 +347,15 @@ pub(super) mod tests {
         assert_eq!((price.from_db, price.to_db, price.times), (28.0, 38.0, 4.0));
         assert_eq!(
             costs.curves[0].answer(),
-            "town: 15 % more time for one more decibel, from 28.0 dB to 38.0 dB (4.00 times the time)"
+            "town: 15 % more time for one more decibel (rough: each setting was timed fewer than 5 times), \
+             from 28.00 dB to 38.00 dB (4.00 times the time)"
         );
         assert_eq!(costs.curves[1].answer(), "lone: no slower setting is more exact");
-        assert_eq!(costs.summary, "One more decibel costs 15 % more time on average.");
+        let rough = "One more decibel costs 15 % more time on average (rough: each setting was timed fewer than 5 times).";
+        assert_eq!(costs.summary, rough);
+        let often = Curve { repeats: 5, ..costs.curves[0].clone() };
+        assert!(!often.answer().contains("rough"), "{}", often.answer());
+        assert_eq!(summary(&[often]), "One more decibel costs 15 % more time on average.");
         let close = curve("close", vec![point("a", Some(30.0), 2.0), point("b", Some(30.5), 3.0)]);
         assert!(close.answer().contains("less than a decibel"), "{}", close.answer());
         let two = summary(&[costs.curves[0].clone(), costs.curves[0].clone()]);

@@ -210,6 +210,17 @@ pub struct Price {
 /// Smallest gain that tells the price of a decibel: below it, the noise of times decides.
 pub const LEAST_GAIN_DB: f64 = 1.0;
 
+/// Fewest timed frames of a setting and pose that tell prices: times of fewer scatter as much as those of settings differ.
+const LEAST_TIMED: u32 = 5;
+
+/// Says beside a price that it is rough, where each setting was timed too few times at each pose.
+pub fn roughness(repeats: u32) -> String {
+    if repeats >= LEAST_TIMED {
+        return String::new();
+    }
+    format!(" (rough: each setting was timed fewer than {LEAST_TIMED} times)")
+}
+
 /// Price from one point `(time, decibels)` to a more exact one; `None` where the second is not above the first or a value is not finite.
 pub fn price(from: (f64, f64), to: (f64, f64)) -> Option<Price> {
     let (times, gain) = (to.0 / from.0, to.1 - from.1);

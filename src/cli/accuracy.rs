@@ -80,7 +80,7 @@ pub struct AccuracyArgs {
     /// Number of timed frames of each setting and pose [default: 5; with --quick 3]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000), conflicts_with = "stability")]
     repeats: Option<u32>,
-    /// Few settings, one pose and a small frame
+    /// Few settings, one pose, a small frame and few timed frames, for a first look: prices are rough
     #[arg(long, conflicts_with = "stability")]
     quick: bool,
     /// Measure errors against the f64 reference renderer on the CPU; for small scenes, since a frame may take minutes

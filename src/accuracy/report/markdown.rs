@@ -192,7 +192,7 @@ mod tests {
     fn the_page_has_the_summary_all_rows_and_the_reasons() {
         let text = markdown(&results());
         for expected in [
-            "From 30.0 dB to 40.0 dB costs 3.06× the time",
+            "From 29.97 dB to 40.00 dB costs 3.06× the time",
             "| reference | the reference |",
             "| ● | fast way | 1.60 (1.55–1.65) | 29.97 |",
             "|  | beaten way |",

@@ -202,7 +202,7 @@ mod tests {
         let images = Images::load(folder.path(), &results, MOST_IMAGE_BYTES).unwrap();
         let text = page(&results, &images).unwrap();
         for expected in [
-            "From 30.0 dB to 40.0 dB",
+            "From 29.97 dB to 40.00 dB",
             "the reference",
             "data:image/png;base64,",
             "good-way",
