@@ -122,6 +122,12 @@ pub fn owners(rows: &[(&Row, Option<&Given>)]) -> Vec<Option<usize>> {
     rows.iter().map(|(own, drawn)| owner(own, (*drawn)?)).collect()
 }
 
+/// Steps of a pose whose rows have these [`owners`]: each row is one, and so is each timed frame. Rows that are refused or drawn as others are not timed.
+pub fn steps(owners: &[Option<usize>], repeats: u32) -> u64 {
+    let own = owners.iter().enumerate().filter(|(row, owner)| **owner == Some(*row));
+    owners.len() as u64 + own.count() as u64 * u64::from(repeats)
+}
+
 /// A timed frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Draw {
@@ -249,6 +255,12 @@ mod tests {
         assert_ne!(draws, order(&subjects, 4, 8));
         assert!(!draws.is_sorted());
         assert!(order(&[], 4, 7).is_empty());
+    }
+
+    #[test]
+    fn rows_that_are_refused_or_drawn_as_others_are_steps_without_timed_frames() {
+        let owners = [Some(1), Some(1), None, Some(3)];
+        assert_eq!((steps(&owners, 5), steps(&owners, 0), steps(&[], 5)), (14, 4, 0));
     }
 
     #[test]

@@ -202,6 +202,8 @@ fn survey(args: &AccuracyArgs, scene: &Path) -> Result<()> {
     let Some(folder) = &args.out else {
         bail!("no folder for the report was given: add -o FOLDER");
     };
+    // A large scene takes minutes to load.
+    Journal::prepare(folder)?;
     let (engine, info) = load(args, scene)?;
     let oracle = match args.oracle {
         true => Some(oracle(args, scene)?),
@@ -368,6 +370,10 @@ impl Telling {
 
 /// Compares the shaders of splats with f64 on hard cases.
 fn check_stability(args: &AccuracyArgs) -> Result<()> {
+    if let Some(folder) = &args.out {
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("making the folder {}", folder.display()))?;
+    }
     let report = stability(args.seed, args.count)?;
     let report = Stability { scenes: steadiness(args)?, ..report };
     let json = serde_json::to_string_pretty(&report)? + "\n";
@@ -377,8 +383,6 @@ fn check_stability(args: &AccuracyArgs) -> Result<()> {
         out::print(&report.to_string())?;
     }
     if let Some(folder) = &args.out {
-        std::fs::create_dir_all(folder)
-            .with_context(|| format!("making the folder {}", folder.display()))?;
         for (name, text) in [("stability.json", json), ("stability.md", report.markdown())] {
             let path = folder.join(name);
             std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))?;

@@ -80,6 +80,7 @@ pub fn run(args: PanoramaArgs) -> anyhow::Result<()> {
     super::local::init_log();
     let is_png = args.file.extension().is_some_and(|extension| extension == "png");
     ensure!(is_png, "{}: the name must end with .png", args.file.display());
+    super::out::check_place(&args.file)?;
     let request = args.draw.request(args.pose.pose(args.scene.up()))?;
     ensure!(!request.settings.is_part(), "--part-of: a panorama has no parts");
     ensure!(

@@ -74,6 +74,8 @@ impl RenderArgs {
 pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     super::local::init_log();
     let request = args.frame.request(args.pose.pose(args.scene.up()), args.format()?)?;
+    let image = Some(&args.file).filter(|_| !args.is_to_stdout());
+    image.into_iter().chain(&args.receipt).try_for_each(|file| super::out::check_place(file))?;
     let begin = Instant::now();
     let (engine, info) = args.scene.load(|_| ())?;
     for warning in &info.warnings {

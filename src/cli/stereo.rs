@@ -60,6 +60,7 @@ const NEAR_SHARE: f64 = 0.02;
 pub fn run(args: StereoArgs) -> anyhow::Result<()> {
     super::local::init_log();
     let format = super::render::format_of(&args.file)?;
+    super::out::check_place(&args.file)?;
     let request = args.draw.request_to_shift(args.pose.pose(args.scene.up()))?;
     let (engine, info) = args.scene.load(|_| ())?;
     for warning in &info.warnings {
