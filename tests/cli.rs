@@ -259,6 +259,51 @@ fn accuracy_says_what_it_cannot_measure() {
     }
 }
 
+/// A scene may take minutes to load; here it cannot be loaded at all.
+#[test]
+fn outputs_without_a_place_are_refused_before_the_scene_is_loaded() {
+    let shell = Shell::new();
+    std::fs::write(shell.path("broken.ply"), "ply\nnonsense").unwrap();
+    for (line, expected) in [
+        (&["accuracy", "broken.ply", "-o", "."][..], "files of other things"),
+        (&["accuracy", "broken.ply", "-o", "cloud.ply/r"], "cloud.ply/r"),
+        (&["render", "broken.ply", "-o", "none/a.png"], "there is no folder none"),
+        (&["render", "broken.ply", "-o", "a.png", "--receipt", "none/a.json"], "none/a.json"),
+        (&["stereo", "broken.ply", "-o", "none/a.png"], "there is no folder none"),
+        (&["tiles", "broken.ply", "-o", "none/a.png"], "there is no folder none"),
+        (&["panorama", "broken.ply", "-o", "none/a.png"], "there is no folder none"),
+        (&["render", "broken.ply", "-o", "a.png", "--max-error-px", "2"], "with `--lod spt`"),
+        (&["render", "broken.ply", "-o", "a.png"], "broken.ply"),
+    ] {
+        let told = shell.complaint(line);
+        assert!(told.contains(expected), "{line:?}: {told}");
+        assert_eq!(told.contains("broken.ply"), expected == "broken.ply", "{line:?}: {told}");
+    }
+    // Nothing is drawn for a report that cannot be written.
+    let line = ["accuracy", "--stability", "--count", "3", "-o", "cloud.ply/r"];
+    let output = shell.run(&line);
+    assert_eq!((output.status.code(), output.stdout.len()), (Some(1), 0));
+}
+
+/// The same reason stands in the receipt, which few people read.
+#[test]
+fn a_goal_that_is_not_promised_is_told_on_standard_error() {
+    let shell = Shell::new();
+    let expected = "warning: the goal of 20 ms is not promised: the scene was not measured";
+    let size = ["--size", "64x64"];
+    for (line, is_told) in [
+        (&["render", "cloud.ply", "--budget-ms", "20", "-o", "a.png"][..], true),
+        (&["stereo", "cloud.ply", "--budget-ms", "20", "-o", "b.png"], true),
+        (&["render", "cloud.ply", "-o", "c.png"], false),
+    ] {
+        let output = shell.run(&[line, &size].concat());
+        let told = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.success(), "{line:?}: {told}");
+        assert_eq!(told.contains(expected), is_told, "{line:?}: {told}");
+        assert_eq!(told.contains("promised"), is_told, "{line:?}: {told}");
+    }
+}
+
 #[test]
 fn no_cache_writes_nothing() {
     let shell = Shell::new();

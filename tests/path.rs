@@ -457,8 +457,6 @@ fn what_is_wrong_is_named() {
     assert!(told.contains("the scene has no paths"), "{told}");
 }
 
-/// A video can be resumed like its frames, which are removed when it is finished.
-#[cfg(feature = "video")]
 /// Frames of a moving camera are blurred while the shutter is open; a shutter that never opens changes nothing.
 #[test]
 fn an_open_shutter_blurs_the_frames_of_a_path() {
@@ -481,6 +479,19 @@ fn an_open_shutter_blurs_the_frames_of_a_path() {
     assert_eq!(drawn("open", &["--shutter", "1", "--blur-samples", "4"]), open);
 }
 
+/// Receipts of films have no plan, so the command says what they would.
+#[test]
+fn a_goal_that_no_film_is_promised_is_told() {
+    let studio = Studio::new();
+    let told = studio.flown("f", &["--to", "2", "--min-psnr-db", "30"]);
+    let expected = "warning: the goal of 30 dB is not promised: the scene was not measured";
+    assert!(told.contains(expected), "{told}");
+    let told = studio.flown("g", &["--to", "2"]);
+    assert!(!told.contains("promised"), "{told}");
+}
+
+/// A video can be resumed like its frames, which are removed when it is finished.
+#[cfg(feature = "video")]
 #[test]
 fn a_path_becomes_a_video() {
     use pointillist::film::video::mp4::Summary;

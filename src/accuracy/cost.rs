@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::results::{NO_SAMPLES, decibels_down, three_digits};
-use super::sweep::{Price, Quartiles, pareto, price};
+use super::sweep::{Price, Quartiles, pareto, price, roughness};
 
 /// Decibels between two levels, and the same where there would be more than [`MOST_LEVELS`] of them.
 const LEVEL_DB: f64 = 5.0;
@@ -173,8 +173,9 @@ impl Curve {
         let fixed =
             fixed.map_or_else(String::new, |each| format!("; {each:.0} % from {low} to {high} dB"));
         format!(
-            "{}: {percent:.0} % more time for one more decibel, from {} dB to {} dB ({} times the time){fixed}",
+            "{}: {percent:.0} % more time for one more decibel{}, from {} dB to {} dB ({} times the time){fixed}",
             self.name(),
+            roughness(self.repeats),
             decibels_down(price.from_db),
             decibels_down(price.to_db),
             three_digits(price.times)
@@ -298,7 +299,9 @@ fn summary(curves: &[Curve]) -> String {
     let fixed = percents(curves, |curve| curve.price_30_to_40_db);
     let fixed = fixed
         .map_or_else(String::new, |each| format!(" From {low} to {high} dB, it costs {each}."));
-    format!("One more decibel costs {whole} more time on average{depending}.{fixed}")
+    let priced = curves.iter().filter(|curve| curve.price.is_some());
+    let rough = priced.map(|curve| curve.repeats).min().map_or_else(String::new, roughness);
+    format!("One more decibel costs {whole} more time on average{rough}{depending}.{fixed}")
 }
 
 /// What a decibel adds to the time in the scenes that have a price, from the least to the most; `None` where no scene has one.
@@ -385,11 +388,16 @@ pub(super) mod tests {
         assert_eq!((price.from_db, price.to_db, price.times), (28.0, 38.0, 4.0));
         assert_eq!(
             costs.curves[0].answer(),
-            "town: 15 % more time for one more decibel, from 28.0 dB to 38.0 dB (4.00 times the time); 10 % from 30 to 40 dB"
+            "town: 15 % more time for one more decibel (rough: each setting was timed fewer than 5 times), from 28.0 dB to 38.0 dB (4.00 times the time); \
+             10 % from 30 to 40 dB"
         );
         assert_eq!(costs.curves[1].answer(), "lone: no slower setting is more exact");
+        let rough = "One more decibel costs 15 % more time on average (rough: each setting was timed fewer than 5 times). From 30 to 40 dB, it costs 10 %.";
+        assert_eq!(costs.summary, rough);
+        let often = Curve { repeats: 5, ..costs.curves[0].clone() };
+        assert!(!often.answer().contains("rough"), "{}", often.answer());
         assert_eq!(
-            costs.summary,
+            summary(&[often]),
             "One more decibel costs 15 % more time on average. From 30 to 40 dB, it costs 10 %."
         );
         let close = curve("close", vec![point("a", Some(30.0), 2.0), point("b", Some(30.5), 3.0)]);

@@ -193,14 +193,9 @@ impl Journal {
     /// # Errors
     /// The folder cannot be written, another process holds the journal, or the journal is damaged or that of another survey.
     pub fn open(folder: &Path, identity: &Identity, date: &str) -> Result<Journal, JournalError> {
+        Journal::prepare(folder)?;
         let path = folder.join(JOURNAL);
         let failed = |error| JournalError::Io { file: path.clone(), error };
-        std::fs::create_dir_all(folder)
-            .map_err(|error| JournalError::Folder { folder: folder.to_owned(), error })?;
-        let is_empty = std::fs::read_dir(folder).map_err(failed)?.next().is_none();
-        if !is_empty && !path.exists() {
-            return Err(JournalError::Foreign { folder: folder.to_owned() });
-        }
         let opened =
             OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
         let Some(mut file) = opened.and_then(Locked::attempt).map_err(failed)? else {
@@ -235,6 +230,23 @@ impl Journal {
             }
         }
         Ok(journal)
+    }
+
+    /// Checks that a report can be written into a folder, which is created if it is missing. Callers ask before they do the work.
+    ///
+    /// # Errors
+    /// The folder cannot be made or written, or has files of other things.
+    pub fn prepare(folder: &Path) -> Result<(), JournalError> {
+        let failed = |error| JournalError::Io { file: folder.to_owned(), error };
+        std::fs::create_dir_all(folder)
+            .map_err(|error| JournalError::Folder { folder: folder.to_owned(), error })?;
+        let is_empty = std::fs::read_dir(folder).map_err(failed)?.next().is_none();
+        if !is_empty && !folder.join(JOURNAL).exists() {
+            return Err(JournalError::Foreign { folder: folder.to_owned() });
+        }
+        // A file without a name tells whether files can be made here.
+        tempfile::tempfile_in(folder).map_err(failed)?;
+        Ok(())
     }
 
     /// The journal of this name in a folder of journals, where there is one and can be written; a journal of another survey is replaced. Else one that ends
@@ -466,6 +478,11 @@ mod tests {
         std::fs::write(&file, "mine").unwrap();
         let open = || Journal::open(folder.path(), &identity(), "monday").unwrap_err().to_string();
         assert!(open().contains("files of other things"));
+        let refused = Journal::prepare(folder.path()).unwrap_err().to_string();
+        assert_eq!(refused, open());
+        assert!(Journal::prepare(&file).is_err(), "this is a file");
+        let empty = tempfile::tempdir().unwrap();
+        assert!(Journal::prepare(&empty.path().join("new/one")).is_ok());
         let journal = folder.path().join(JOURNAL);
         for text in ["mine", "mine\n", "{\"kind\":\"time\"}"] {
             std::fs::write(&journal, text).unwrap();

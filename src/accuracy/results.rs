@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::journal::{Identity, Metrics, Record};
 use super::metrics::{Coverage, Spread, psnr_db};
-use super::sweep::{Price, Quartiles, Row, owners, pareto, price};
+use super::sweep::{Price, Quartiles, Row, owners, pareto, price, roughness};
 use crate::plan::Given;
 
 pub use along::{Along, AlongEntry};
@@ -118,7 +118,8 @@ impl Results {
             let all = Scope::of_all(rows, &scopes);
             scopes.insert(0, all);
         }
-        let summary = scopes.first().map(summary).unwrap_or_default();
+        let summary =
+            scopes.first().map(|scope| summary(scope, identity.repeats)).unwrap_or_default();
         let along = identity.path.as_ref().map(|path| Along::new(path, rows, records));
         Results { identity, date, summary, scopes, along }
     }
@@ -342,8 +343,8 @@ fn row_at<'a>(record: &'a Record, name: &str) -> Option<&'a str> {
     }
 }
 
-/// What one more decibel costs.
-fn summary(scope: &Scope) -> String {
+/// What one more decibel costs, where each setting was timed so many times at each pose.
+fn summary(scope: &Scope, repeats: u32) -> String {
     let front = scope.fronts.get("psnr").map(Vec::as_slice).unwrap_or_default();
     let is_exact = |row: &&String| scope.entry(row).is_some_and(|entry| entry.psnr_db.is_none());
     let finite = front.iter().rev().find(|row| !is_exact(row));
@@ -371,7 +372,8 @@ fn summary(scope: &Scope) -> String {
     let (least, most) = each
         .clone()
         .fold((f64::INFINITY, 0.0f64), |(least, most), times| (least.min(times), most.max(times)));
-    let spread = if each.count() > 1 {
+    let rough = roughness(repeats);
+    let spread = if each.count() > 1 && rough.is_empty() {
         format!(
             " Between neighbours on the Pareto front, a decibel costs {} to {} times the time.",
             three_digits(least),
@@ -381,7 +383,8 @@ fn summary(scope: &Scope) -> String {
         String::new()
     };
     let average = price.times_per_db.map_or_else(String::new, |times| {
-        format!(": one more decibel costs {:.0} % more time on average", 100.0 * (times - 1.0))
+        let percent = 100.0 * (times - 1.0);
+        format!(": one more decibel costs {percent:.0} % more time on average{rough}")
     });
     format!(
         "From {} dB to {} dB costs {}× the time{average}. The fastest setting is {}, the most exact {}.{spread}{equal}",

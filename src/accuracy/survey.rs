@@ -29,7 +29,7 @@ use super::journal::{Identity, Journal, JournalError, PoseRecord, Record, write_
 use super::metrics::SizeMismatch;
 use super::poses::{UnknownCamera, around, of_cameras};
 use super::reference::Reference;
-use super::sweep::{Row, order, owners, slug};
+use super::sweep::{Row, order, owners, slug, steps};
 use super::truth::{Finer, PARTS, Truth, Wide, floats, is_covered, quads};
 use crate::encode::{EncodeError, FrameImage, ImageFormat, encode};
 use crate::engine::receipt::PassReceipt;
@@ -417,11 +417,14 @@ impl Survey<'_> {
     ) -> Result<(), SurveyError> {
         let mut known = Known::of(&journal.records);
         let key = journal.key;
-        let images = (self.poses.len() * self.rows.len()) as u64;
-        let all = images * u64::from(1 + self.repeats);
+        let owners_at = |pose: &NamedPose| self.owners(pose.camera, &self.rows);
+        let planned = self.poses.iter().map(|pose| self.check_stop().map(|()| owners_at(pose)));
+        let planned: Vec<_> = planned.collect::<Result<_, SurveyError>>()?;
+        let steps_of = |owners: &[Option<usize>]| steps(owners, self.repeats);
+        let mut total: u64 = planned.iter().map(|(_, owners)| steps_of(owners)).sum();
         let mut done = 0;
         let mut warm = HashSet::new();
-        for (pose_number, pose) in self.poses.iter().enumerate() {
+        for ((pose_number, pose), (drawn, owners)) in self.poses.iter().enumerate().zip(&planned) {
             let mut truth = None;
             if self.file(pose, REFERENCE, "").is_some_and(|file| !file.exists()) {
                 truth = Some(self.kept_truth(pose, key)?);
@@ -430,11 +433,13 @@ impl Survey<'_> {
             if self.purpose == Purpose::Planner && self.rows.iter().any(is_missing) {
                 truth = match self.kept_truth(pose, key) {
                     // At another size, something was seen.
-                    Err(SurveyError::Blank(_)) => continue,
+                    Err(SurveyError::Blank(_)) => {
+                        total -= steps_of(owners);
+                        continue;
+                    }
                     truth => Some(truth?),
                 };
             }
-            let (drawn, owners) = self.owners(pose.camera, &self.rows);
             for (row_number, row) in self.rows.iter().enumerate() {
                 self.check_stop()?;
                 done += 1;
@@ -444,7 +449,7 @@ impl Survey<'_> {
                 if known.has(&pose.name, &row.label) && !is_lost {
                     continue;
                 }
-                tell(Event { done, total: all, what: &format!("{}, {}", pose.name, row.label) });
+                tell(Event { done, total, what: &format!("{}, {}", pose.name, row.label) });
                 let (name, label) = (pose.name.clone(), row.label.clone());
                 let record = match (&drawn[row_number], owners[row_number]) {
                     (Err(why), _) => Record::Refused { pose: name, row: label, why: why.clone() },
@@ -468,6 +473,7 @@ impl Survey<'_> {
         }
         let subjects = known.subjects(&self.poses, &self.rows);
         let draws = order(&subjects, self.repeats, self.seed);
+        // Frames that turned out to be drawn as those of other rows are not timed.
         let total = done + draws.len() as u64;
         for draw in draws {
             self.check_stop()?;
@@ -498,7 +504,7 @@ impl Survey<'_> {
         let drawn: Vec<Result<Given, String>> = rows
             .iter()
             .map(|row| match self.engine.resolve_blocking(self.row_request(camera, row)) {
-                Ok(frame) => Ok(frame.settings().applied()),
+                Ok(frame) => Ok(*frame.applied()),
                 Err(error) => Err(error.to_string()),
             })
             .collect();

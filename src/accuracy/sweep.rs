@@ -122,6 +122,12 @@ pub fn owners(rows: &[(&Row, Option<&Given>)]) -> Vec<Option<usize>> {
     rows.iter().map(|(own, drawn)| owner(own, (*drawn)?)).collect()
 }
 
+/// Steps of a pose whose rows have these [`owners`]: each row is one, and so is each timed frame. Rows that are refused or drawn as others are not timed.
+pub fn steps(owners: &[Option<usize>], repeats: u32) -> u64 {
+    let own = owners.iter().enumerate().filter(|(row, owner)| **owner == Some(*row));
+    owners.len() as u64 + own.count() as u64 * u64::from(repeats)
+}
+
 /// A timed frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Draw {
@@ -210,6 +216,17 @@ pub struct Price {
 /// Smallest gain that tells the price of a decibel: below it, the noise of times decides.
 pub const LEAST_GAIN_DB: f64 = 1.0;
 
+/// Fewest timed frames of a setting and pose that tell prices: times of fewer scatter as much as those of settings differ.
+const LEAST_TIMED: u32 = 5;
+
+/// Says beside a price that it is rough, where each setting was timed too few times at each pose.
+pub fn roughness(repeats: u32) -> String {
+    if repeats >= LEAST_TIMED {
+        return String::new();
+    }
+    format!(" (rough: each setting was timed fewer than {LEAST_TIMED} times)")
+}
+
 /// Price from one point `(time, decibels)` to a more exact one; `None` where the second is not above the first or a value is not finite.
 pub fn price(from: (f64, f64), to: (f64, f64)) -> Option<Price> {
     let (times, gain) = (to.0 / from.0, to.1 - from.1);
@@ -238,6 +255,12 @@ mod tests {
         assert_ne!(draws, order(&subjects, 4, 8));
         assert!(!draws.is_sorted());
         assert!(order(&[], 4, 7).is_empty());
+    }
+
+    #[test]
+    fn rows_that_are_refused_or_drawn_as_others_are_steps_without_timed_frames() {
+        let owners = [Some(1), Some(1), None, Some(3)];
+        assert_eq!((steps(&owners, 5), steps(&owners, 0), steps(&[], 5)), (14, 4, 0));
     }
 
     #[test]

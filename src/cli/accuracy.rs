@@ -80,7 +80,7 @@ pub struct AccuracyArgs {
     /// Number of timed frames of each setting and pose [default: 5; with --quick 3]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000), conflicts_with = "stability")]
     repeats: Option<u32>,
-    /// Few settings, one pose and a small frame
+    /// Few settings, one pose, a small frame and few timed frames, for a first look: prices are rough
     #[arg(long, conflicts_with = "stability")]
     quick: bool,
     /// Measure errors against the f64 reference renderer on the CPU; for small scenes, since a frame may take minutes
@@ -199,6 +199,8 @@ fn survey(args: &AccuracyArgs, scene: &Path) -> Result<()> {
     let Some(folder) = &args.out else {
         bail!("no folder for the report was given: add -o FOLDER");
     };
+    // A large scene takes minutes to load.
+    Journal::prepare(folder)?;
     let (engine, info) = load(args, scene)?;
     let oracle = match args.oracle {
         true => Some(oracle(args, scene)?),
@@ -365,6 +367,10 @@ impl Telling {
 
 /// Compares the shaders of splats with f64 on hard cases.
 fn check_stability(args: &AccuracyArgs) -> Result<()> {
+    if let Some(folder) = &args.out {
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("making the folder {}", folder.display()))?;
+    }
     let report = stability(args.seed, args.count)?;
     let report = Stability { scenes: steadiness(args)?, ..report };
     let json = serde_json::to_string_pretty(&report)? + "\n";
@@ -374,8 +380,6 @@ fn check_stability(args: &AccuracyArgs) -> Result<()> {
         out::print(&report.to_string())?;
     }
     if let Some(folder) = &args.out {
-        std::fs::create_dir_all(folder)
-            .with_context(|| format!("making the folder {}", folder.display()))?;
         for (name, text) in [("stability.json", json), ("stability.md", report.markdown())] {
             let path = folder.join(name);
             std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))?;

@@ -80,6 +80,7 @@ pub fn run(args: PanoramaArgs) -> anyhow::Result<()> {
     super::local::init_log();
     let is_png = args.file.extension().is_some_and(|extension| extension == "png");
     ensure!(is_png, "{}: the name must end with .png", args.file.display());
+    super::out::check_place(&args.file)?;
     let request = args.draw.request(args.pose.pose(args.scene.up()))?;
     ensure!(!request.settings.is_part(), "--part-of: a panorama has no parts");
     ensure!(
@@ -106,7 +107,7 @@ pub fn run(args: PanoramaArgs) -> anyhow::Result<()> {
         FrameRequest { width: side + 2 * MARGIN_PX, height: side + 2 * MARGIN_PX, ..request };
     // Settings for a goal are chosen once: faces that are drawn differently would have seams.
     let asked = FACES.each_ref().map(|face| eye.face(&drawn, face, side));
-    let settings = engine.settings_for_all(&asked)?.unwrap_or(drawn.settings);
+    let settings = super::path::settings_for_all(&engine, &asked, drawn.settings)?;
     let drawn = FrameRequest { settings, ..drawn };
     super::path::bake(&engine, &eye.face(&drawn, &FACES[0], side))?;
     let settings = alike(&engine, &eye, &drawn, side)?;

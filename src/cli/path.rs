@@ -14,11 +14,12 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::frame::{FormatChoice, FrameArgs};
 use super::local::{ID, SceneArgs, progress_bar};
 use super::out::say;
-use crate::engine::{Client, Engine, FrameRequest, Pose, Receipt, SceneInfo};
+use crate::engine::{Client, Engine, EngineError, FrameRequest, Pose, Receipt, SceneInfo};
 use crate::film::video::{Coder, Reel, VideoError, encode};
 use crate::film::{self, Event, Film, FilmError, Report, shots::Shots};
 use crate::http::server::stop_signal;
-use crate::plan::Wait;
+use crate::plan::planner::PlanReceipt;
+use crate::plan::{Settings, Wait};
 use crate::scene::{CameraPath, SceneLimits, load_path};
 
 /// Options of `pointillist path`.
@@ -256,6 +257,22 @@ fn find(engine: &Engine, info: &SceneInfo, name: &str) -> anyhow::Result<CameraP
     }
 }
 
+/// The settings that all frames of an image share: those of the request, or those that are chosen for its goal. Says so where the goal is not promised.
+///
+/// # Errors
+/// Any error of a frame.
+pub(super) fn settings_for_all(
+    engine: &Engine,
+    frames: &[FrameRequest],
+    own: Settings,
+) -> Result<Settings, EngineError> {
+    let Some((settings, plan)) = engine.settings_for_all(frames)? else { return Ok(own) };
+    if let Some(why) = plan.unpromised() {
+        say!("warning: {why}");
+    }
+    Ok(settings)
+}
+
 /// Bakes what the frames need, with a bar: point trees, or normals and kernels of large clouds.
 pub(super) fn bake(engine: &Engine, request: &FrameRequest) -> anyhow::Result<()> {
     let Some(mut ticket) = engine.begin_bake(request)? else { return Ok(()) };
@@ -337,7 +354,10 @@ impl Telling {
 
     fn hear(&mut self, event: &Event<'_>) {
         match event {
-            Event::Surveyed { kept, to_draw, .. } => {
+            Event::Surveyed { kept, to_draw, planned, .. } => {
+                if let Some(why) = planned.and_then(PlanReceipt::unpromised) {
+                    self.bar.suspend(|| say!("warning: {why}"));
+                }
                 (self.total, self.done) = (kept + to_draw, *kept);
                 self.began = Instant::now();
                 self.told = self.began;
@@ -412,7 +432,8 @@ mod tests {
     fn summaries() {
         let mut telling = Telling::new();
         let receipt = Receipt { views: 4, gpu_ns: Some(8_000_000_000), ..Receipt::default() };
-        telling.hear(&Event::Surveyed { kept: 3, to_draw: 2, records: &film::Records::new() });
+        let records = &film::Records::new();
+        telling.hear(&Event::Surveyed { kept: 3, to_draw: 2, records, planned: None });
         (0..2).for_each(|_| telling.count(&receipt));
         let report = Report { kept: 3, drawn: 2, ..Report::default() };
         let text = telling.summary(&report, Duration::from_secs(4));

@@ -74,6 +74,8 @@ impl RenderArgs {
 pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     super::local::init_log();
     let request = args.frame.request(args.pose.pose(args.scene.up()), args.format()?)?;
+    let image = Some(&args.file).filter(|_| !args.is_to_stdout());
+    image.into_iter().chain(&args.receipt).try_for_each(|file| super::out::check_place(file))?;
     let begin = Instant::now();
     let (engine, info) = args.scene.load_and_warn()?;
     let loaded = begin.elapsed();
@@ -96,8 +98,7 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     if let Some(file) = &args.receipt {
         write(file, &serde_json::to_vec_pretty(&median.receipt)?)?;
     }
-    let receipt = &median.receipt;
-    for why in [receipt.hardly_visible(), receipt.left_out()].into_iter().flatten() {
+    for why in median.receipt.warnings() {
         say!("warning: {why}");
     }
     say!(

@@ -60,6 +60,7 @@ const NEAR_SHARE: f64 = 0.02;
 pub fn run(args: StereoArgs) -> anyhow::Result<()> {
     super::local::init_log();
     let format = super::render::format_of(&args.file)?;
+    super::out::check_place(&args.file)?;
     let request = args.draw.request_to_shift(args.pose.pose(args.scene.up()))?;
     let (engine, _) = args.scene.load_and_warn()?;
     let (distance, apart) = distances(&engine, &request, args.eye_distance)?;
@@ -70,7 +71,7 @@ pub fn run(args: StereoArgs) -> anyhow::Result<()> {
         })
     };
     // Settings for a goal are chosen once, so that both eyes see the same.
-    let settings = engine.settings_for_all(&eyes(&request))?.unwrap_or(request.settings);
+    let settings = super::path::settings_for_all(&engine, &eyes(&request), request.settings)?;
     let request = FrameRequest { settings, ..request };
     super::path::bake(&engine, &request)?;
     let [left, right] = eyes(&request).map(|request| engine.submit(request));

@@ -63,6 +63,7 @@ pub fn run(args: TilesArgs) -> anyhow::Result<()> {
         Some("dzi") => true,
         _ => bail!("{}: the name ends neither with .png nor with .dzi", args.file.display()),
     };
+    super::out::check_place(&args.file)?;
     let (engine, _) = args.scene.load_and_warn()?;
     let limits = engine.limits();
     let parts = request.settings.parts();

@@ -312,7 +312,7 @@ pub fn planned(
     let found = state.planners.find_for(state, loaded);
     let Some((known, is_own)) = found.filter(|(known, _)| !known.planner.is_empty()) else {
         return unplanned(
-            "the scene was not measured for the planner on this adapter, so the settings are those without a goal",
+            "the scene was not measured for the planner on this adapter (`accuracy --planner` measures it), so the settings are those without a goal",
         );
     };
     let paces = match views {
@@ -411,14 +411,15 @@ impl Engine {
         Ok(state.planners.forget(state, &*state.loaded(id)?))
     }
 
-    /// The settings for frames that belong together, as those of a film: the goal of the requests is kept by all of them. `None` for requests without a goal.
+    /// The settings for frames that belong together, as those of a film, and how they were chosen: the goal of the requests is kept by all of them.
+    /// `None` for requests without a goal.
     ///
     /// # Errors
     /// Any error of a request.
     pub fn settings_for_all(
         &self,
         requests: &[FrameRequest],
-    ) -> Result<Option<Settings>, EngineError> {
+    ) -> Result<Option<(Settings, PlanReceipt)>, EngineError> {
         resolve::settings_for_all(self.state(), requests)
     }
 

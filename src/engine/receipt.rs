@@ -81,8 +81,15 @@ pub struct Receipt {
 }
 
 impl Receipt {
+    /// What a person who looks at the frame should know: why little or nothing can be seen, why the goal of the request is not promised, and
+    /// which surfaces may be missing.
+    pub fn warnings(&self) -> Vec<String> {
+        let unpromised = self.planned.as_ref().and_then(PlanReceipt::unpromised);
+        [self.hardly_visible(), unpromised, self.left_out()].into_iter().flatten().collect()
+    }
+
     /// Why little or nothing can be seen, where that is so.
-    pub fn hardly_visible(&self) -> Option<String> {
+    fn hardly_visible(&self) -> Option<String> {
         if let Some(why) = &self.nothing_visible {
             return Some(format!("nothing is visible: {why}"));
         }
@@ -100,7 +107,7 @@ impl Receipt {
     }
 
     /// What may be missing behind the translucent surfaces that are kept, where a pixel may differ by more than [`LITTLE_LIGHT`].
-    pub fn left_out(&self) -> Option<String> {
+    fn left_out(&self) -> Option<String> {
         let TranslucentReceipt { layers, most_left_out, .. } =
             self.translucent.filter(|drawn| drawn.most_left_out > LITTLE_LIGHT)?;
         let percent = 100.0 * most_left_out;

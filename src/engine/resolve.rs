@@ -21,7 +21,7 @@ use crate::encode::{self, EncodeError};
 use crate::math::View;
 use crate::passes::{Levels, PAINTED_BYTES, SLABS_BYTES, Slabs};
 use crate::plan::auto::{self, Choice};
-use crate::plan::planner::Moving;
+use crate::plan::planner::{Moving, PlanReceipt};
 use crate::plan::{
     AdapterFacts, Antialias, ColorBy, Edl, ImagePart, Output, Reconstruct, Reconstruction,
     SceneFacts, Settings, Wait,
@@ -183,14 +183,14 @@ pub fn moving(
     Ok(planner::planned_moving(state, &loaded, request, &view, moving, fits))
 }
 
-/// The settings for the frames of a film: the goal of the requests, if they have one, is kept by all of them.
+/// The settings for the frames of a film, and how they were chosen: the goal of the requests, if they have one, is kept by all of them.
 ///
 /// # Errors
 /// Any error of a request.
 pub fn settings_for_all(
     state: &EngineState,
     requests: &[FrameRequest],
-) -> Result<Option<Settings>, EngineError> {
+) -> Result<Option<(Settings, PlanReceipt)>, EngineError> {
     let Some(first) = requests.first().filter(|first| first.settings.goal().is_some()) else {
         return Ok(None);
     };
@@ -200,10 +200,10 @@ pub fn settings_for_all(
         .iter()
         .map(|request| view_of(state, &loaded, request))
         .collect::<Result<_, EngineError>>()?;
-    let (chosen, _) = planner::planned(state, &loaded, first.clone(), &views, |one| {
+    let (chosen, planned) = planner::planned(state, &loaded, first.clone(), &views, |one| {
         check_size(state, one).is_ok()
     });
-    Ok(Some(chosen.settings))
+    Ok(planned.map(|planned| (chosen.settings, planned.receipt)))
 }
 
 fn unfit_format(error: EncodeError) -> EngineError {

@@ -120,6 +120,11 @@ impl ResolvedFrame {
         &self.drawing.settings
     }
 
+    /// Returns the settings that affect the frame, as its receipt has them unless splats overflow a single pass.
+    pub fn applied(&self) -> &Given {
+        &self.drawing.applied
+    }
+
     pub fn plan(&self) -> &FramePlan {
         &self.drawing.plan
     }

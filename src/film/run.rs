@@ -20,6 +20,7 @@ use crate::engine::{
     Client, Engine, EngineError, FrameRequest, FrameTicket, Origin, Pose, Receipt, Resolution,
     ResolvedFrame, SceneMark,
 };
+use crate::plan::planner::PlanReceipt;
 
 /// Largest number of pixels with the engine at a time, for a film that is drawn alone.
 pub const MOST_PIXELS: u64 = 1 << 26;
@@ -76,8 +77,8 @@ pub struct Drawn {
 /// Progress of a run.
 pub enum Event<'a> {
     /// Sent once, before anything is drawn: how many of the wanted frames are intact, and how many must be drawn. `records` has
-    /// all intact frames, including ones that are not wanted.
-    Surveyed { kept: u64, to_draw: u64, records: &'a Records },
+    /// all intact frames, including ones that are not wanted. `planned` says how settings were chosen for the goal of all frames, if they have one.
+    Surveyed { kept: u64, to_draw: u64, records: &'a Records, planned: Option<&'a PlanReceipt> },
     /// A frame's file is in place. The receipt is there if this process drew the frame.
     Drawn { record: &'a Arc<Record>, receipt: Option<&'a Receipt> },
 }
@@ -131,7 +132,8 @@ pub fn run(
     mut tell: impl FnMut(Event<'_>) + Send,
 ) -> Result<Report, FilmError> {
     let scene = film.engine.scene(&film.request.scene)?;
-    let film = &film.decided()?;
+    let (film, planned) = film.decided()?;
+    let film = &film;
     let first = *film.shots.wanted().start();
     let asked = film.shots.wanted().count() as u64;
     if !bake(film.engine, &film.request, &film.shots, stop)? {
@@ -152,7 +154,8 @@ pub fn run(
     drop(records);
     found.left_over.retain(|file| folder.holds(file));
     let to_draw = found.draw.len() as u64;
-    tell(Event::Surveyed { kept: asked - to_draw, to_draw, records: &found.kept });
+    let (kept, planned) = (asked - to_draw, planned.as_ref());
+    tell(Event::Surveyed { kept, to_draw, records: &found.kept, planned });
 
     let header = film.header(&scene.name);
     let mut finished = found.kept;
@@ -176,7 +179,7 @@ pub fn run(
     ended.and(written)?;
     let there = film.shots.wanted().filter(|number| finished.contains_key(number)).count() as u64;
     Ok(Report {
-        kept: asked - to_draw,
+        kept,
         drawn: there + to_draw - asked,
         missing: asked - there,
         left_over: found.left_over,
@@ -281,14 +284,17 @@ fn hand_over(
 
 impl Film<'_> {
     /// Decides how samples are drawn, if that is left open: a film that changed it midway would flicker. Settings for a goal are chosen for all frames
-    /// together. If any frame needs splats, all frames get them. Frames of the whole path are asked, so that runs over parts of the path agree.
-    fn decided(&self) -> Result<Film<'_>, FilmError> {
-        let mut request = self.request.clone();
+    /// together, and the second value says how. If any frame needs splats, all frames get them. Frames of the whole path are asked, so that runs over
+    /// parts of the path agree.
+    fn decided(&self) -> Result<(Film<'_>, Option<PlanReceipt>), FilmError> {
+        let (mut request, mut planned) = (self.request.clone(), None);
         let step = self.shots.count().div_ceil(ASKED).max(1) as usize;
         let asked = || (0..self.shots.count()).step_by(step).map(|number| self.request(number));
         if request.settings.goal().is_some() {
             let chosen = self.engine.settings_for_all(&asked().collect::<Vec<_>>())?;
-            request.settings = chosen.unwrap_or(request.settings);
+            if let Some((settings, plan)) = chosen {
+                (request.settings, planned) = (settings, Some(plan));
+            }
         }
         if request.settings.leaves_drawing_open() {
             for one in asked() {
@@ -300,7 +306,9 @@ impl Film<'_> {
                 }
             }
         }
-        Ok(Film { request, shots: self.shots.clone(), origin: self.origin.clone(), ..*self })
+        let film =
+            Film { request, shots: self.shots.clone(), origin: self.origin.clone(), ..*self };
+        Ok((film, planned))
     }
 
     fn header(&self, scene: &str) -> Header {

@@ -66,7 +66,7 @@ const REVALIDATE: HeaderValue = HeaderValue::from_static("no-cache");
                 ("ETag" = String, description = "Strong, known before rendering"),
                 ("Server-Timing" = String, description = "Milliseconds of queue, batch, each pass, device-wait, readback, encode-wait, encode, and their total"),
                 ("Pointillist-Receipt" = String, description = "A `Receipt` as one line of JSON, ASCII only"),
-                ("Pointillist-Warning" = Option<String>, description = "Why little or nothing can be seen in the image, that translucent surfaces may be missing, or that the frame is provisional, where that is so"),
+                ("Pointillist-Warning" = Option<String>, description = "Why little or nothing can be seen in the image, why a goal is not promised, that translucent surfaces may be missing, or that the frame is provisional, where that is so"),
             ),
         ),
         (status = 304, description = "The client has this frame already"),

@@ -40,14 +40,13 @@ fn entry(line: &mut String, name: &str, ns: u64, words: std::fmt::Arguments<'_>)
     let _ = write!(line, "{comma}{name};dur={ms}.{us:03};desc=\"{words}\"");
 }
 
-/// `Pointillist-Warning`: the reason why little or nothing is visible, that translucent surfaces may be missing, and a note where the frame is not
-/// final.
+/// `Pointillist-Warning`: the reason why little or nothing is visible or why a goal is not promised, that translucent surfaces may be missing, and a note
+/// where the frame is not final.
 pub fn warning(receipt: &Receipt) -> Option<HeaderValue> {
     let provisional = receipt.settings.provisional.as_ref().map(|why| {
         format!("the frame is provisional: {why}; wait=complete waits for the final frame")
     });
-    let found = [receipt.hardly_visible(), receipt.left_out(), provisional];
-    let warnings: Vec<String> = found.into_iter().flatten().collect();
+    let warnings: Vec<String> = receipt.warnings().into_iter().chain(provisional).collect();
     if warnings.is_empty() { None } else { HeaderValue::from_str(&warnings.join("; ")).ok() }
 }
 
@@ -79,6 +78,22 @@ pub fn ascii_json(value: &impl serde::Serialize) -> Option<String> {
 mod tests {
     use super::*;
     use crate::engine::receipt::{PassReceipt, TranslucentOrder, TranslucentReceipt};
+    use crate::plan::planner::Goal;
+
+    #[test]
+    fn a_goal_that_is_not_promised_is_warned_of() {
+        let goal = Goal { most_ms: Some(20.0), least_db: None };
+        let planned = Some(goal.unplanned("nothing was measured".to_owned()));
+        let frame = Receipt { planned, ..Receipt::default() };
+        let told = warning(&frame).unwrap();
+        assert_eq!(told, "the goal of 20 ms is not promised: nothing was measured");
+        let hidden =
+            Receipt { nothing_visible: Some("it is behind the camera".to_owned()), ..frame };
+        let told = warning(&hidden).unwrap();
+        let expected = "nothing is visible: it is behind the camera; the goal of 20 ms is not promised: nothing was measured";
+        assert_eq!(told, expected);
+        assert_eq!(warning(&Receipt::default()), None);
+    }
 
     #[test]
     fn receipts_survive_any_name() {

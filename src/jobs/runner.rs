@@ -292,7 +292,7 @@ impl Run<'_> {
         let film = Film { engine, request, shots, mark, folder, origin, most_pixels, elsewhere };
         let mut drawn = 0;
         let report = film::run(&film, &live.stop, |event| match event {
-            Event::Surveyed { kept, to_draw, records } => {
+            Event::Surveyed { kept, to_draw, records, .. } => {
                 let mut progress = live.progress.lock();
                 (progress.done, progress.total, progress.drawn) = (kept, Some(kept + to_draw), 0);
                 progress.coded = 0;

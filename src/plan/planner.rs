@@ -208,6 +208,19 @@ impl PlanReceipt {
         Goal { most_ms: self.budget_ms, least_db: self.min_psnr_db }
     }
 
+    /// Why the goal is not promised, and what is predicted for the chosen setting; `None` where the goal is promised.
+    pub fn unpromised(&self) -> Option<String> {
+        if self.keeps == Some(true) {
+            return None;
+        }
+        let predicted = self.chosen.as_ref().map_or_else(String::new, |chosen| {
+            let Alternative { setting, most_ms, least_psnr_db, .. } = chosen;
+            format!("; the prediction for `{setting}` is at most {most_ms} ms and at least {least_psnr_db} dB")
+        });
+        let goal = self.goal().in_words();
+        Some(format!("the goal of {goal} is not promised: {}{predicted}", self.because))
+    }
+
     /// The receipt of a choice for a scene that was patched after it was measured: nothing is promised.
     #[must_use]
     pub fn of_other_content(self) -> PlanReceipt {
@@ -388,14 +401,15 @@ impl Planner {
     }
 
     fn alternative(&self, row: usize, found: &Prediction) -> Alternative {
-        // Two decimals of a millisecond and of a decibel say all that is known.
-        let rounded = |number: f64| (number * 100.0).round() / 100.0;
+        // Two decimals of a millisecond and of a decibel say all that is known. What misses a goal by less must not look as if it kept the goal.
+        let up = |number: f64| (number * 100.0).ceil() / 100.0;
+        let down = |number: f64| (number * 100.0).floor() / 100.0;
         Alternative {
             setting: self.rows[row].label.clone(),
-            ms: rounded(found.ms),
-            most_ms: rounded(found.most_ms),
-            psnr_db: rounded(found.psnr_db),
-            least_psnr_db: rounded(found.least_psnr_db),
+            ms: up(found.ms),
+            most_ms: up(found.most_ms),
+            psnr_db: down(found.psnr_db),
+            least_psnr_db: down(found.least_psnr_db),
         }
     }
 

@@ -1,8 +1,12 @@
 //! Settings are chosen for goals from what was measured, and receipts say how.
 
 use std::collections::BTreeSet;
+use std::sync::atomic::AtomicBool;
 
 use glam::{DAffine3, DVec3};
+use pointillist::accuracy::journal::Journal;
+use pointillist::accuracy::survey::{NamedPose, Purpose, Survey};
+use pointillist::accuracy::sweep::Row as SurveyRow;
 use pointillist::bake::cache::BakeCache;
 use pointillist::engine::{
     Client, FrameRequest, MovingFrame, NodePatch, Pose, Receipt, Resolution,
@@ -259,6 +263,48 @@ fn frames_of_moving_poses_are_chosen_with_their_size() {
     assert!(studio.engine.plan_moving(&part, &moving, true).is_err());
 }
 
+/// Rows that are drawn as others are not timed.
+#[test]
+fn a_survey_takes_as_many_steps_as_it_says() {
+    let studio = studio();
+    let row = |label: &str, pairs: &[(&str, &str)]| SurveyRow {
+        label: label.to_owned(),
+        family: String::new(),
+        given: given(pairs),
+        scale: 1.0,
+    };
+    let rows = vec![
+        row("points", &[("reconstruct", "points")]),
+        row("clear points", &[("reconstruct", "points"), ("fog", "off")]),
+        row("splats", &[("reconstruct", "splats")]),
+    ];
+    let camera = Camera {
+        eye: DVec3::new(0.0, 0.0, 2.0),
+        target: DVec3::ZERO,
+        up: DVec3::Y,
+        lens: Lens::Perspective { fov_deg: 45.0 },
+    };
+    let stop = AtomicBool::new(false);
+    let survey = Survey {
+        engine: &studio.engine,
+        client: Client::Unnamed,
+        scene: "cloud",
+        poses: vec![NamedPose::new(0, "front", camera)],
+        rows,
+        size: [48, 32],
+        repeats: 2,
+        seed: 1,
+        oracle: None,
+        folder: None,
+        purpose: Purpose::Report,
+        stop: &stop,
+    };
+    let mut journal = Journal::in_memory(&survey.identity("cloud").unwrap(), "2026-01-02");
+    let mut steps = Vec::new();
+    assert!(survey.run(&mut journal, |event| steps.push((event.done, event.total))).unwrap());
+    assert_eq!(steps, (1..=7).map(|step| (step, 7)).collect::<Vec<_>>());
+}
+
 #[test]
 fn a_film_keeps_its_goal_with_one_setting() {
     let studio = studio();
@@ -268,7 +314,8 @@ fn a_film_keeps_its_goal_with_one_setting() {
         FrameRequest { pose: Pose::Camera(camera), ..asking(&[("min_psnr_db", "28")]) }
     };
     let frames = [at(2.0), at(3.0), at(30.0)];
-    let settings: Settings = studio.engine.settings_for_all(&frames).unwrap().unwrap();
+    let (settings, plan) = studio.engine.settings_for_all(&frames).unwrap().unwrap();
+    assert!(plan.min_psnr_db == Some(28.0) && plan.chosen.is_some() && plan.poses == 8, "{plan:?}");
     assert!(settings.goal().is_none() && settings.reconstruct == Reconstruct::Splats);
     assert!(settings.lod == Lod::Spt || settings.lod == Lod::Full);
     let plain = FrameRequest { settings: Settings::default(), ..at(2.0) };

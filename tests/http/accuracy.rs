@@ -305,18 +305,22 @@ fn a_measurement_for_the_planner_serves_goals() {
     let plan = || {
         let reply = client.get("/v1/scenes/grid/frame?camera=front&w=64&h=48&min_psnr_db=10");
         assert_eq!(reply.status, 200, "{}", reply.text());
-        reply.receipt()["planned"].clone()
+        let warning = reply.header("pointillist-warning").unwrap_or_default().to_owned();
+        (reply.receipt()["planned"].clone(), warning)
     };
-    let unknown = plan();
+    let (unknown, warning) = plan();
     assert_eq!((&unknown["keeps"], &unknown["chosen"]), (&Value::Null, &Value::Null), "{unknown}");
+    let reason = "the goal of 10 dB is not promised: the scene was not measured";
+    assert!(warning.contains(reason), "{warning}");
     assert_eq!(state(&client)["planner"], Value::Null);
     begin(&client, &json!({ "planner": true, "w": 16, "h": 12 }));
     let done = ended(&client, "done");
     assert_eq!(done["planner"]["poses"], 24, "{done}");
     assert!(done["planner"]["settings"].as_u64().is_some_and(|count| count > 5), "{done}");
     assert_eq!(done["results"], Value::Null);
-    let known = plan();
+    let (known, warning) = plan();
     assert_eq!((&known["keeps"], &known["poses"]), (&json!(true), &json!(24)), "{known}");
+    assert!(!warning.contains("promised"), "{warning}");
     assert!(known["actual_ms"].as_f64().is_some_and(|ms| ms > 0.0), "{known}");
     // Moving frames of a stream are chosen as well, and the still one that follows is not.
     let mut stream =

@@ -155,16 +155,30 @@ fn the_summary_says_what_a_decibel_costs() {
     );
     assert!(results.summary.contains("fast way (1.60 ms, 29.9 dB)"), "{}", results.summary);
     let one = Scope::new("p", None, &[], vec![results.scopes[1].entries[0].clone()]);
-    let text = summary(&one);
+    let text = summary(&one, 5);
     assert!(text.contains("the fastest is fast way") && text.contains("No slower"), "{text}");
     // A frame that equals the reference has no decibels.
     let mut entries = results.scopes[1].entries.clone();
     let exact = entries.iter_mut().find(|entry| entry.row == "good way").unwrap();
     (exact.psnr_db, exact.metrics.mse) = (None, 0.0);
-    let text = summary(&Scope::new("p", None, &[], entries));
+    let text = summary(&Scope::new("p", None, &[], entries), 5);
     assert!(text.contains("good way equals the reference and takes"), "{text}");
     assert!(!text.contains("inf"), "{text}");
-    assert!(summary(&Scope::new("p", None, &[], Vec::new())).starts_with("No setting"));
+    assert!(summary(&Scope::new("p", None, &[], Vec::new()), 5).starts_with("No setting"));
+}
+
+#[test]
+fn prices_of_few_timed_frames_are_called_rough() {
+    let mut entries = results().scopes[1].entries.clone();
+    let best = entries.iter_mut().find(|entry| entry.row == "beaten way").unwrap();
+    (best.psnr_db, best.metrics.mse) = (Some(50.0), 0.65025);
+    let scope = Scope::new("p", None, &[], entries);
+    assert_eq!(scope.fronts["psnr"], ["fast way", "good way", "beaten way"]);
+    let (few, enough) = (summary(&scope, 4), summary(&scope, 5));
+    let rough =
+        "more time on average (rough: each setting was timed fewer than 5 times). The fastest";
+    assert!(few.contains(rough) && !few.contains("neighbours"), "{few}");
+    assert!(!enough.contains("rough") && enough.contains("Between neighbours"), "{enough}");
 }
 
 #[test]

@@ -122,12 +122,21 @@ fn a_budget_gets_the_most_exact_setting_and_an_error_the_fastest() {
     assert!(times.is_sorted() && !times.is_empty(), "{times:?}");
     let none = choose(&planner, &[("budget_ms", "0.01")], ground).unwrap();
     assert_eq!(none.plan.keeps, Some(false));
-    assert_eq!(none.plan.chosen.unwrap().setting, "points spt 4 px");
-    assert!(
-        none.plan.because.contains("no setting is known to keep 0.01 ms"),
-        "{}",
-        none.plan.because
+    assert_eq!(ample.plan.unpromised(), None);
+    let told = none.plan.unpromised().unwrap();
+    let reason = "the goal of 0.01 ms is not promised: no setting is known to keep 0.01 ms; this is the fastest one";
+    assert!(told.starts_with(reason), "{told}");
+    let chosen = none.plan.chosen.unwrap();
+    assert_eq!(chosen.setting, "points spt 4 px");
+    let predicted = format!(
+        "; the prediction for `points spt 4 px` is at most {} ms and at least {} dB",
+        chosen.most_ms, chosen.least_psnr_db
     );
+    assert!(told.ends_with(&predicted), "{told}");
+    let unmeasured =
+        Goal { most_ms: Some(20.0), least_db: Some(30.0) }.unplanned("of a test".into());
+    let expected = "the goal of 20 ms and 30 dB is not promised: of a test";
+    assert_eq!(unmeasured.unpromised().as_deref(), Some(expected));
 
     let own_db = 10.0 * (65025.0 / point(1, &rows()[1].1, ground).mse).log10();
     let least = format!("{}", (own_db - 1.5).floor());
@@ -139,6 +148,15 @@ fn a_budget_gets_the_most_exact_setting_and_an_error_the_fastest() {
     assert_eq!(exact.plan.keeps, Some(false));
     let both = choose(&planner, &[("min_psnr_db", &least), ("budget_ms", "0.02")], ground).unwrap();
     assert_eq!(both.plan.keeps, Some(false));
+}
+
+#[test]
+fn figures_that_miss_a_goal_do_not_look_as_if_they_kept_it() {
+    let (planner, _) = planner();
+    let found = Prediction { ms: 19.991, most_ms: 20.001, psnr_db: 31.239, least_psnr_db: 29.996 };
+    let shown = planner.alternative(0, &found);
+    assert_eq!((shown.ms, shown.most_ms), (20.0, 20.01));
+    assert_eq!((shown.psnr_db, shown.least_psnr_db), (31.23, 29.99));
 }
 
 #[test]
