@@ -161,7 +161,7 @@ impl Curve {
         let Some(price) = self.price else {
             return format!("{}: no slower setting is more exact", self.name());
         };
-        let Some(percent) = percent(&price) else {
+        let Some(whole) = percent(&price) else {
             return format!(
                 "{}: less than a decibel lies between its settings ({} times the time)",
                 self.name(),
@@ -173,7 +173,7 @@ impl Curve {
         let fixed =
             fixed.map_or_else(String::new, |each| format!("; {each:.0} % from {low} to {high} dB"));
         format!(
-            "{}: {percent:.0} % more time for one more decibel{}, from {} dB to {} dB ({} times the time){fixed}",
+            "{}: {whole:.0} % more time for one more decibel{}, from {} dB to {} dB ({} times the time){fixed}",
             self.name(),
             roughness(self.repeats),
             decibels_down(price.from_db),

@@ -458,12 +458,13 @@ fn decide(
         let too_few = "fewer than eight samples lie along the shorter side of the image";
         (pulled.is_some() && seen.iter().any(outgrow)).then_some(too_few)
     });
-    // None of them leaves depths of what it draws.
     let composites = facts.has_translucent() && request.output == Output::Color;
-    let undecided = (blended.is_some() || pulled.is_some()) && composites;
-    let refused = refused.or_else(|| {
-        undecided.then_some("it gives translucent surfaces no depths to be compared with")
-    });
+    let depthless = match (blended, pulled) {
+        (Some(_), _) => Some("fuzzy and painted splats leave no depths for translucent surfaces"),
+        (None, Some(_)) => Some("pull-push leaves no depths for translucent surfaces"),
+        (None, None) => None,
+    };
+    let refused = refused.or(depthless.filter(|_| composites));
     let drawing = match refused {
         Some(_) => way(&other, refused),
         None => way(&settings, None),
@@ -554,16 +555,17 @@ fn no_blending(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str
     let (width, height) = drawn_size(request);
     let pixels = u64::from(width) * u64::from(height);
     if request.output != Output::Color {
-        return Some("splats that are drawn so have nothing but colours");
+        return Some("fuzzy and painted splats have nothing but colours");
     }
     if request.settings.edl == Edl::On {
-        return Some("splats that are drawn so leave no depths for eye-dome lighting");
+        return Some("fuzzy and painted splats leave no depths for eye-dome lighting");
     }
     if request.settings.recolors() {
-        return Some("splats that are drawn so leave no surfaces to colour");
+        return Some("fuzzy and painted splats leave no surfaces to colour");
     }
-    (pixels * SLABS_BYTES.max(PAINTED_BYTES) > adapter.max_binding_bytes)
-        .then_some("the adapter cannot bind what it needs for so many pixels")
+    (pixels * SLABS_BYTES.max(PAINTED_BYTES) > adapter.max_binding_bytes).then_some(
+        "the adapter cannot bind the buffers that fuzzy or painted splats need for so many pixels",
+    )
 }
 
 /// Why the frame cannot be drawn with `reconstruct=fuzzy`.
@@ -574,5 +576,5 @@ fn no_fuzzy(adapter: &Adapter) -> Option<&'static str> {
 /// Why pull-push cannot draw a frame.
 fn no_pyramid(request: &FrameRequest, adapter: &Adapter) -> Option<&'static str> {
     (Levels::of(drawn_size(request)).bytes() > adapter.max_binding_bytes)
-        .then_some("the adapter cannot bind the pyramid of so many pixels; a smaller frame has one")
+        .then_some("the adapter cannot bind the pyramid of pull-push for so many pixels; a smaller frame needs a smaller one")
 }

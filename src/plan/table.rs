@@ -287,13 +287,13 @@ reasons! {
     WITHOUT_SHADOWS: "shadows are off", |f| f.frame.shadows == super::Shadows::Off;
     NO_OCCLUSION: "the scene has no ambient occlusion", |f| !f.scene.occlusion;
     WITHOUT_OCCLUSION: "ambient occlusion is off", |f| f.frame.occlusion == super::Effect::Off;
-    DEPTHLESS: "splats that are drawn so leave no depths for ambient occlusion", |f| f.leaves_no_depths();
+    DEPTHLESS: "fuzzy and painted splats leave no depths for ambient occlusion", |f| f.leaves_no_depths();
     LIT_SINGLY: "splats are lit one by one, so that their ambient light is mixed with the rest", |f| f.lights_splats();
     NO_ENVIRONMENT: "the scene has no environment", |f| !f.scene.environment;
     WITHOUT_ENVIRONMENT: "the environment is off", |f| f.frame.environment == super::Effect::Off;
     UNSEEN_ENVIRONMENT: "the environment is not the scene's background", |f| !f.scene.shows_environment;
     OTHER_BACKGROUND: "the request has a background of its own", |f| f.frame.has_background;
-    BEHIND_FOG: "fog that is as dense everywhere hides it",
+    BEHIND_FOG: "fog that is as dense everywhere hides the background",
         |f| super::Specialisation::Fog.skipped(f).is_none() && !f.scene.layered_fog;
     NO_FOG: "the scene has no fog", |f| !f.scene.fog;
     WITHOUT_FOG: "fog is off", |f| f.frame.fog == super::Effect::Off;

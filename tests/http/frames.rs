@@ -364,7 +364,7 @@ fn splats_and_their_receipt() {
     assert_eq!(receipt["splats"]["scattered"], 64 * 64);
     let settings = &client.get(&(fuzzy + "&output=normal")).receipt()["settings"];
     assert_eq!(settings["reconstruct"], "splats");
-    assert_eq!(settings["instead_because"], "splats that are drawn so have nothing but colours");
+    assert_eq!(settings["instead_because"], "fuzzy and painted splats have nothing but colours");
 }
 
 /// At 128 rows the wall's samples are 1.6 px apart, and at a quarter of the rows a quarter of that.

@@ -144,5 +144,5 @@ fn a_single_pass_gives_way_to_three() {
     };
     let used = cloud.draw_with(&view, fuzzy).receipt.settings;
     assert_eq!(used.applied.reconstruct, Some(Reconstruct::Splats));
-    assert_eq!(used.instead_because, Some("splats that are drawn so leave no surfaces to colour"));
+    assert_eq!(used.instead_because, Some("fuzzy and painted splats leave no surfaces to colour"));
 }

@@ -57,7 +57,7 @@ fn eye_dome_light_needs_depths() {
     assert_eq!(used.applied.reconstruct, Some(Reconstruct::Splats));
     assert_eq!(
         used.instead_because,
-        Some("splats that are drawn so leave no depths for eye-dome lighting")
+        Some("fuzzy and painted splats leave no depths for eye-dome lighting")
     );
 }
 

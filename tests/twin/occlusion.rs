@@ -341,7 +341,7 @@ fn frames_without_depths_have_none_and_say_why() {
         assert_eq!(line.ran, frames.color != without.color);
         line.why.clone()
     };
-    let depthless = "splats that are drawn so leave no depths for ambient occlusion";
+    let depthless = "fuzzy and painted splats leave no depths for ambient occlusion";
     assert_eq!(why(Settings::drawn_as(Reconstruct::Fuzzy)).as_deref(), Some(depthless));
     assert_eq!(why(Settings::drawn_as(Reconstruct::Painted)).as_deref(), Some(depthless));
     let singly =

@@ -563,9 +563,14 @@ fn methods_without_depths_are_replaced() {
     });
     let files = [("m.glb", glb.finish()), ("c.ply", cloud.ply())];
     let case = Case::new("glass-and-points", &files, &scene);
-    for method in [Reconstruct::Fuzzy, Reconstruct::Painted, Reconstruct::PullPush] {
+    let splats = "fuzzy and painted splats leave no depths for translucent surfaces";
+    for (method, because) in [
+        (Reconstruct::Fuzzy, splats),
+        (Reconstruct::Painted, splats),
+        (Reconstruct::PullPush, "pull-push leaves no depths for translucent surfaces"),
+    ] {
         let frames = case.draw_wide(&view(), Settings::drawn_as(method));
-        assert!(frames.receipt.settings.instead_because.is_some(), "{method:?}");
+        assert_eq!(frames.receipt.settings.instead_because, Some(because), "{method:?}");
         assert!(frames.receipt.translucent.is_some(), "{method:?}");
         // In place of the other two, splats are lit one by one.
         let is_occluded = frames.ran(Pass::AmbientOcclusion);
