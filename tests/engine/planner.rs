@@ -278,12 +278,7 @@ fn a_survey_takes_as_many_steps_as_it_says() {
         row("clear points", &[("reconstruct", "points"), ("fog", "off")]),
         row("splats", &[("reconstruct", "splats")]),
     ];
-    let camera = Camera {
-        eye: DVec3::new(0.0, 0.0, 2.0),
-        target: DVec3::ZERO,
-        up: DVec3::Y,
-        lens: Lens::Perspective { fov_deg: 45.0 },
-    };
+    let camera = Camera::perspective(DVec3::new(0.0, 0.0, 2.0), DVec3::ZERO, 45.0);
     let stop = AtomicBool::new(false);
     let survey = Survey {
         engine: &studio.engine,
