@@ -212,6 +212,10 @@ mod tests {
             (&["--max-error-px", "2"], "no value, or a value together with `--lod spt`"),
             (&["--lod", "spt", "--max-error-px", "0"], "accepted: 0.05 to 64 pixels"),
             (
+                &["--blur-samples", "64"],
+                "--blur-samples: nothing is blurred, because there is neither an aperture nor an open shutter; accepted: `32`",
+            ),
+            (
                 &["--reconstruct", "points", "--filter", "exact"],
                 "--filter: this setting applies to splats only",
             ),

@@ -32,7 +32,7 @@ pub struct PanoramaArgs {
     /// PNG file to write; with --layout cube NAME.png stands for NAME-front.png, -right, -back, -left, -up and -down
     #[arg(short = 'o', long = "out", value_name = "FILE")]
     file: PathBuf,
-    /// Width in pixels: of the equirectangular image, which is half as high, or of a face of the cube [default: 2048, or 1024 for a face]
+    /// Width in pixels: an even number for the equirectangular image, which is half as high, or that of a face of the cube [default: 2048, or 1024 for a face]
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(4..))]
     width: Option<u32>,
     /// Equirectangular image, or six faces of a cube as somebody in its middle sees them
@@ -95,6 +95,10 @@ pub fn run(args: PanoramaArgs) -> anyhow::Result<()> {
         Layout::Equirectangular => 2048,
         Layout::Cube => 1024,
     });
+    ensure!(
+        args.layout == Layout::Cube || width.is_multiple_of(2),
+        "--width: {width} is odd, and an equirectangular image is half as high as wide; accepted: an even number"
+    );
     // A face whose middle has more pixels to an angle than the image.
     let side = match args.layout {
         Layout::Equirectangular => (f64::from(width) * 1.25 / PI).ceil() as u32,
@@ -123,7 +127,7 @@ pub fn run(args: PanoramaArgs) -> anyhow::Result<()> {
     bar.finish_and_clear();
     match args.layout {
         Layout::Equirectangular => {
-            let height = width.div_ceil(2);
+            let height = width / 2;
             write(
                 &args.file,
                 [width, height],
@@ -186,7 +190,7 @@ fn check_side(
         return Ok(());
     }
     let most = match layout {
-        Layout::Equirectangular => (f64::from(most) * PI / 1.25).floor() as u32,
+        Layout::Equirectangular => (f64::from(most) * PI / 2.5).floor() as u32 * 2,
         Layout::Cube => most,
     };
     bail!("--width: too large within the limits of frames; accepted: up to {most}")

@@ -244,7 +244,7 @@ settings! {
     lod: Lod => Lod {
         label: "Detail", kind: SettingKind::own::<Lod>(), needs: [], useful_with: [], trades: Trade::main()
     }
-    /// Largest accepted error of `lod=spt`, in pixels.
+    /// Largest accepted error of `lod=spt`, in pixels. It bounds the level of detail, and is no goal for which the planner chooses settings.
     max_error_px: f64 => MaxError {
         label: "Error", kind: MaxError::kind(), needs: [TREES], useful_with: [], trades: Trade::main_at(&[0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
     }
@@ -379,7 +379,7 @@ settings! {
         label: "Shutter", kind: Shutter::kind(), needs: [], useful_with: [COLORS]
     }
     /// Number of exposures whose mean a frame with an aperture or an open shutter is, each from another point of the lens, at another time and through
-    /// other points of the pixels.
+    /// other points of the pixels. Without an aperture or an open shutter, only the default is accepted.
     blur_samples: BlurSamples => BlurSamples {
         label: "Exposures", kind: SettingKind::own::<BlurSamples>(), needs: [], useful_with: [COLORS, BLURRED]
     }

@@ -123,6 +123,7 @@ def follow_lens(params):
     if params.keys() & {"ortho_height", "budget_ms", "min_psnr_db"} or params.get("projection") == "orthographic":
         params.pop("aperture", None)
         params.pop("focus_distance", None)
+        params.pop("blur_samples", None)
     if "aperture" in params:
         params["aperture"] = 0.1
     if "focus_distance" in params:
@@ -193,7 +194,7 @@ def follow_settings(params):
     params.pop("field", None)
     if params.get("color_by") in shows_fields:
         params["color_by"] = "height"
-    if "focus_distance" in params:
+    if params.keys() & {"focus_distance", "blur_samples"}:
         params["aperture"] = 0.1
     follow_lens(params)
     follow_stereo(params)

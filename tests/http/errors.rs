@@ -71,6 +71,7 @@ fn refusals_of_frames() {
         ("stereo_distance=2", "bad-parameter", "stereo_distance"),
         ("shutter=1.5", "bad-parameter", "shutter"),
         ("blur_samples=5", "bad-parameter", "blur_samples"),
+        ("blur_samples=64", "bad-parameter", "blur_samples"),
         ("aperture=0.1&blur_samples=256&w=100&h=100", "over-limit", "blur_samples"),
         ("effects=shadows", "unavailable-parameter", "effects"),
         ("width=3", "unknown-parameter", "width"),

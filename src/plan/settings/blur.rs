@@ -1,6 +1,6 @@
 //! Settings of depth of field and motion blur.
 
-use super::{Aperture, FocusDistance, Output, Settings, Shutter};
+use super::{Accepted, Aperture, FocusDistance, Given, Output, SettingError, Settings, Shutter};
 use crate::words::words;
 
 words! {
@@ -83,20 +83,47 @@ impl Settings {
             return self.without_blur();
         }
         let shutter = if moves { self.shutter } else { Shutter::default() };
-        Settings { shutter, ..*self }
+        let settings = Settings { shutter, ..*self };
+        if settings.is_blurred() { settings } else { settings.without_blur() }
     }
 
     /// The settings of a sharp frame.
     #[must_use]
     pub fn without_blur(&self) -> Settings {
         let (aperture, shutter) = (Aperture::default(), Shutter::default());
-        Settings { aperture, shutter, focus_distance: FocusDistance::default(), ..*self }
+        let (focus_distance, blur_samples) = (FocusDistance::default(), BlurSamples::default());
+        Settings { aperture, shutter, focus_distance, blur_samples, ..*self }
     }
 
     /// The settings with the plane of focus at a distance, or at the nearest one that a setting may have.
     #[must_use]
     pub fn focused_at(&self, distance: f64) -> Settings {
         Settings { focus_distance: FocusDistance::nearest(distance), ..*self }
+    }
+}
+
+impl Given {
+    /// Refuses a number of exposures where nothing is blurred. No rule of a setting's needs says this, since an aperture or a shutter will do.
+    pub(super) fn check_exposures(&self) -> Result<(), SettingError> {
+        let is_default = self.blur_samples.unwrap_or_default() == BlurSamples::default();
+        if is_default || Settings::from(*self).is_blurred() {
+            return Ok(());
+        }
+        let reason = "nothing is blurred, because there is neither an aperture nor an open shutter";
+        let accepted = "`32`, or another value together with an aperture or a shutter above 0";
+        Err(SettingError {
+            setting: Settings::EXPOSURES,
+            reason: reason.to_owned(),
+            accepted: Accepted::Values(accepted.to_owned()),
+        })
+    }
+
+    /// Leaves out an inherited number of exposures where `own` settings have ended the blur.
+    #[must_use]
+    pub(super) fn without_idle_exposures(self, own: &Given) -> Given {
+        let ends_blur = own.aperture.is_some() || own.shutter.is_some();
+        let is_idle = ends_blur && own.blur_samples.is_none() && !Settings::from(self).is_blurred();
+        if is_idle { Given { blur_samples: None, ..self } } else { self }
     }
 }
 
@@ -115,6 +142,10 @@ mod tests {
         assert_eq!(Settings { aperture: 0.0.into(), shutter: 0.0.into(), ..sharp }, sharp);
         assert_eq!(moving.with_blur_decided(Output::Color, false), sharp);
         assert_eq!(moving.with_blur_decided(Output::Color, true), moving);
+        // What is chosen for a goal is checked again, so no number of exposures may be left over.
+        let many = Settings { blur_samples: BlurSamples::Exposures64, ..moving };
+        assert_eq!(many.with_blur_decided(Output::Color, false), sharp);
+        assert_eq!(many.with_blur_decided(Output::Depth, true), sharp);
         assert_eq!(lens.with_blur_decided(Output::Color, false), lens);
         let focused = lens.focused_at(2.0);
         assert_eq!((focused.focus(), focused.without_blur()), (Some(2.0), sharp));

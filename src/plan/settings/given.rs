@@ -100,7 +100,7 @@ impl Given {
                 let _ = merged.set(setting.name, Value::Null);
             }
         }
-        merged
+        merged.without_idle_exposures(self)
     }
 
     /// Refuses values out of range, whatever stands beside them.
@@ -139,6 +139,7 @@ impl Given {
             let accepted = Accepted::Values(format!("a value above {}", least.get()));
             return Err(SettingError { setting: "color_most", reason, accepted });
         }
+        self.check_exposures()?;
         let settings = Settings::from(*self);
         let (given, used, open) = (words(self), words(&settings), settings.open());
         for setting in declared() {

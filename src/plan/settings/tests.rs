@@ -162,6 +162,24 @@ fn what_does_not_go_together_is_refused() {
 }
 
 #[test]
+fn a_number_of_exposures_needs_blur() {
+    for query in ["blur_samples=64", "blur_samples=64&aperture=0", "blur_samples=4&shutter=0"] {
+        let refused = given(query).resolve().unwrap_err();
+        let accepted = refused.accepted(|_, _| String::new());
+        assert_eq!(refused.setting, "blur_samples", "{query}");
+        assert!(accepted.contains("an aperture or a shutter above 0"), "{accepted}");
+    }
+    for query in ["blur_samples=32", "blur_samples=64&aperture=0.1", "blur_samples=4&shutter=0.5"] {
+        assert!(given(query).resolve().is_ok(), "{query}");
+    }
+    let defaults = given("aperture=0.1&blur_samples=64");
+    assert_eq!(given("").or(&defaults), defaults);
+    assert_eq!(given("aperture=0").or(&defaults), given("aperture=0"));
+    // A fault of the defaults alone is told of.
+    assert!(given("").or(&given("blur_samples=64")).resolve().is_err());
+}
+
+#[test]
 fn settings_without_meaning_are_not_inherited() {
     let defaults = given(
         "lod=spt&max_error_px=4&color_by=levels&reconstruct=splats&blend=opaque&filter=exact",
