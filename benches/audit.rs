@@ -459,7 +459,8 @@ fn main() -> anyhow::Result<()> {
     for (setting, total) in SETTINGS.iter().zip(&totals).filter(|(s, _)| s.error_px.is_some()) {
         let outline = total.beyond.iter().copied().fold(0.0, f64::max);
         let (frames, flights) = (total.beyond.len(), total.flicker.len());
-        let what = format!("outline of {} beyond the accepted error, of {frames}", setting.name);
+        let what =
+            format!("outline of {} beyond the accepted error, of {frames} frames", setting.name);
         report.target(&what, Some(outline), Bound::AtMost(OUTLINE_SLACK_PX), "px");
         kept &= outline <= OUTLINE_SLACK_PX;
         let flicker = quantile(&total.flicker, 1.0);
@@ -477,7 +478,8 @@ fn main() -> anyhow::Result<()> {
             Bound::AtMost(40.0),
             "%",
         );
-        let time = format!("slowest frame of {}, over full detail, of {frames}", setting.name);
+        let time =
+            format!("slowest frame of {}, over full detail, of {frames} frames", setting.name);
         report.target(&time, Some(quantile(&total.time, 1.0)), Bound::AtMost(1.05), "×");
         if setting.reconstruct == Reconstruct::Splats {
             let holes = total.holes as f64;

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# What accuracy costs in time for three scenes, VTK and Open3D at equal picture error, the tables of four papers with ours beside them, and the
+# What accuracy costs in time for three scenes, VTK and Open3D at equal picture error, the tables of four papers with ours beside them, the
 # promises of frames, and every effect beside the reference, in one report: target/report/index.html, report.md, report.json and headline.svg.
 #
 #   scripts/report.sh [PART…]      all parts, or the named ones (town plaza relief equal stability promises checkerboard planner audit splats pull_push painted lod trees effects)
@@ -44,7 +44,7 @@ benches=(equal painted splats lod pull_push trees planner audit effects report)
 cargo bench --locked --no-run "${benches[@]/#/--bench=}"
 
 # Measurements of another build, or of another extent, are not continued.
-build="$(cksum <"$binary") $(cat benches/*.rs benches/common/*.rs benches/effects/*.rs benches/peers/*.py | cksum)"
+build="$(cksum <"$binary") $(cat benches/*.rs benches/common/*.rs benches/effects/*.rs benches/peers/*.py tests/twin/files.rs | cksum)"
 if is_set "${REPORT_FRESH:-}" || [ "$build" != "$(cat "$folder/build" 2>/dev/null)" ]; then rm -rf "$folder"; fi
 mkdir -p "$folder/benches" "$folder/parts"
 echo "$build" >"$folder/build"
@@ -108,7 +108,7 @@ measure() { # PART
     planner) PLANNER_SCENES=$planner_scenes PLANNER_POSES=$planner_poses bench planner ;;
     audit) AUDIT_POSES=$audit_poses bench audit ;;
     effects)
-        rm -f "$folder"/effects-*.png
+        rm -f "$folder"/effects-*.png target/bench/effects/effects-*.png
         bench effects
         cp target/bench/effects/effects-*.png "$folder/"
         ;;

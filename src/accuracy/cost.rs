@@ -146,7 +146,7 @@ impl Curve {
         })
     }
 
-    /// The fastest point that has at least so many decibels.
+    /// The fastest point of the front that has at least so many decibels.
     pub fn at_least(&self, decibels: f64) -> Option<&Point> {
         at_least(&self.points, decibels)
     }
@@ -205,7 +205,7 @@ fn front(points: Vec<Point>) -> Vec<Point> {
     kept
 }
 
-/// The fastest point that has at least so many decibels.
+/// The fastest point of the front that has at least so many decibels.
 fn at_least(points: &[Point], decibels: f64) -> Option<&Point> {
     points.iter().find(|point| point.decibels() >= decibels)
 }
@@ -300,7 +300,7 @@ fn summary(curves: &[Curve]) -> String {
     let fixed = fixed
         .map_or_else(String::new, |each| format!(" From {low} to {high} dB, it costs {each}."));
     let priced = curves.iter().filter(|curve| curve.price.is_some());
-    let rough = priced.map(|curve| curve.repeats).min().map_or_else(String::new, roughness);
+    let rough = priced.map(|curve| curve.repeats).max().map_or_else(String::new, roughness);
     format!("One more decibel costs {whole} more time on average{rough}{depending}.{fixed}")
 }
 

@@ -21,7 +21,8 @@ use crate::plan::Given;
 use super::params::FrameParams;
 
 pub const RECEIPT_HEADER: HeaderName = HeaderName::from_static("pointillist-receipt");
-/// Header that says why little or nothing is visible, that translucent surfaces may be missing, or that the frame is provisional.
+/// Header that says why little or nothing is visible, why a goal is not promised, that translucent surfaces may be missing, or that the frame is
+/// provisional.
 pub const WARNING_HEADER: HeaderName = HeaderName::from_static("pointillist-warning");
 pub const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
 /// Time for which a bake goes on after the deadline of the request that needed it.
