@@ -290,7 +290,7 @@ fn outputs_without_a_place_are_refused_before_the_scene_is_loaded() {
     assert_eq!((output.status.code(), output.stdout.len()), (Some(1), 0));
 }
 
-/// The same reason stands in the receipt, which few people read.
+/// Few people read the receipt, which gives the same reason.
 #[test]
 fn a_goal_that_is_not_promised_is_told_on_standard_error() {
     let shell = Shell::new();

@@ -97,7 +97,7 @@ pub fn judged(what: &str, measured: Option<f64>, bound: Bound, unit: &str) -> Va
     })
 }
 
-/// What was measured of a target. A value that breaks the bound by little has more digits, so that it does not look like the bound.
+/// The measured value of a target, as text. A value that breaks the bound by little has more digits, so that it does not look like the bound.
 pub fn shown(target: &Value) -> String {
     let Some(value) = target["measured"].as_f64() else { return "—".to_owned() };
     let text = number(value);

@@ -45,7 +45,7 @@ PATIENCE_S = 120
 SEAM_SIZE = [1900, 850]
 # The unit tests of FLIP have the same bound. Single precision, which flip-evaluator computes with, causes less.
 FLIP_MILLIONTHS = 20
-# What a test of image parts allows: at most one pixel in 400 differs by more than 3 steps of a byte.
+# A test of image parts allows that one pixel in 400 differs by more than 3 steps of a byte.
 SEAM_PERCENT, SEAM_STEPS = 0.25, 3
 
 

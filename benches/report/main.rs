@@ -180,7 +180,7 @@ fn promise(beginning: &str, target: &Value) -> Vec<String> {
     ]
 }
 
-/// What `accuracy --stability` found: splats of hard cases, and random views of hard scenes.
+/// The figures of `accuracy --stability`: splats of hard cases, and random views of hard scenes.
 fn stability(found: &Found) -> Vec<Value> {
     let list = |value: &Value| value.as_array().cloned().unwrap_or_default();
     let (classes, scenes) = (list(&found.stability["rows"]), list(&found.stability["scenes"]));

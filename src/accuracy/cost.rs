@@ -304,7 +304,7 @@ fn summary(curves: &[Curve]) -> String {
     format!("One more decibel costs {whole} more time on average{rough}{depending}.{fixed}")
 }
 
-/// What a decibel adds to the time in the scenes that have a price, from the least to the most; `None` where no scene has one.
+/// The percentages that a decibel adds to the time in the scenes that have a price, from the least to the most; `None` where no scene has one.
 fn percents(curves: &[Curve], of: fn(&Curve) -> Option<Price>) -> Option<String> {
     let all: Vec<f64> = curves.iter().filter_map(of).filter_map(|price| percent(&price)).collect();
     let least = all.iter().copied().reduce(f64::min)?;
@@ -415,7 +415,7 @@ pub(super) mod tests {
         assert_eq!(costs.curves[1].price_30_to_40_db, None);
     }
 
-    /// What misses a level by a hair is not said to have it.
+    /// A setting that misses a level by a hair is not said to have it.
     #[test]
     fn decibels_are_rounded_down() {
         let points = vec![point("a", Some(29.993), 2.0), point("b", Some(39.993), 4.0)];

@@ -343,7 +343,7 @@ fn row_at<'a>(record: &'a Record, name: &str) -> Option<&'a str> {
     }
 }
 
-/// What one more decibel costs, where each setting was timed so many times at each pose.
+/// Says what one more decibel costs, where each setting was timed so many times at each pose.
 fn summary(scope: &Scope, repeats: u32) -> String {
     let front = scope.fronts.get("psnr").map(Vec::as_slice).unwrap_or_default();
     let is_exact = |row: &&String| scope.entry(row).is_some_and(|entry| entry.psnr_db.is_none());

@@ -81,7 +81,7 @@ pub struct Receipt {
 }
 
 impl Receipt {
-    /// What a person who looks at the frame should know: why little or nothing can be seen, why the goal of the request is not promised, and
+    /// Warnings for a person who looks at the frame: why little or nothing can be seen, why the goal of the request is not promised, and
     /// which surfaces may be missing.
     pub fn warnings(&self) -> Vec<String> {
         let unpromised = self.planned.as_ref().and_then(PlanReceipt::unpromised);
@@ -106,7 +106,7 @@ impl Receipt {
         })
     }
 
-    /// What may be missing behind the translucent surfaces that are kept, where a pixel may differ by more than [`LITTLE_LIGHT`].
+    /// A warning that surfaces may be missing behind the translucent ones that are kept, where a pixel may differ by more than [`LITTLE_LIGHT`].
     fn left_out(&self) -> Option<String> {
         let TranslucentReceipt { layers, most_left_out, .. } =
             self.translucent.filter(|drawn| drawn.most_left_out > LITTLE_LIGHT)?;

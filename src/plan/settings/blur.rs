@@ -142,7 +142,7 @@ mod tests {
         assert_eq!(Settings { aperture: 0.0.into(), shutter: 0.0.into(), ..sharp }, sharp);
         assert_eq!(moving.with_blur_decided(Output::Color, false), sharp);
         assert_eq!(moving.with_blur_decided(Output::Color, true), moving);
-        // What is chosen for a goal is checked again, so no number of exposures may be left over.
+        // The server checks settings again that it chose for a goal, so no number of exposures may be left over.
         let many = Settings { blur_samples: BlurSamples::Exposures64, ..moving };
         assert_eq!(many.with_blur_decided(Output::Color, false), sharp);
         assert_eq!(many.with_blur_decided(Output::Depth, true), sharp);
