@@ -146,11 +146,6 @@ impl Curve {
         })
     }
 
-    /// The fastest point of the front that has at least so many decibels.
-    pub fn at_least(&self, decibels: f64) -> Option<&Point> {
-        at_least(&self.points, decibels)
-    }
-
     /// The scene's name without the ending of its file.
     pub fn name(&self) -> &str {
         self.scene.rsplit_once('.').map_or(&self.scene, |(name, _)| name)
@@ -272,8 +267,8 @@ fn levels(curves: &[Curve]) -> Vec<Level> {
     let step = if is_wide { WIDE_LEVEL_DB } else { LEVEL_DB };
     let of_level = |least_db: f64, below: Option<f64>| {
         let reached = |curve: &Curve| {
-            let point = curve.at_least(least_db)?;
-            let below = below.and_then(|below| curve.at_least(below));
+            let point = at_least(&curve.points, least_db)?;
+            let below = below.and_then(|below| at_least(&curve.points, below));
             Some(Reached {
                 label: point.label.clone(),
                 psnr_db: point.psnr_db,
@@ -378,7 +373,7 @@ pub(super) mod tests {
         let lone = |level: usize| costs.levels[level].scenes[1].as_ref().map(|at| at.times);
         assert_eq!([0, 1, 2].map(lone), [Some(None), Some(Some(1.0)), None]);
         // Frames that equal the reference reach every level.
-        assert_eq!(costs.curves[0].at_least(1e9).unwrap().label, "exact");
+        assert_eq!(at_least(&costs.curves[0].points, 1e9).unwrap().label, "exact");
     }
 
     #[test]

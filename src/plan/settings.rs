@@ -378,8 +378,8 @@ settings! {
     shutter: f64 => Shutter {
         label: "Shutter", kind: Shutter::kind(), needs: [], useful_with: [COLORS]
     }
-    /// Number of exposures whose mean a frame with an aperture or an open shutter is, each from another point of the lens, at another time and through
-    /// other points of the pixels. Without an aperture or an open shutter, only the default is accepted.
+    /// Number of exposures whose mean a frame with an aperture or an open shutter is. Each exposure has another point of the lens, another time and other
+    /// points of the pixels. Without an aperture or an open shutter, only the default is accepted.
     blur_samples: BlurSamples => BlurSamples {
         label: "Exposures", kind: SettingKind::own::<BlurSamples>(), needs: [], useful_with: [COLORS, BLURRED]
     }

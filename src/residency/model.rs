@@ -230,9 +230,11 @@ impl SceneModel {
         let maps = materials.clone().any(Material::has_maps);
         // Thin lines and ribbons have Phong's model, whatever their material. So has every surface of a node whose material has one of its keys.
         let has_phong = self.counts().segments > 0 || own.iter().any(MaterialSpec::is_phong);
-        let shines = materials
-            .clone()
-            .any(|one| one.specular != black && (has_phong || one.physical.is_none()));
+        // An unlit surface shows no highlight, unless a node's material lights it.
+        let is_lit = |one: &Material| !one.unlit || own.iter().any(|spec| spec.unlit == Some(false));
+        let shines = materials.clone().any(|one| {
+            one.specular != black && is_lit(one) && (has_phong || one.physical.is_none())
+        });
         let is_polished = |spec: &MaterialSpec| spec.specular.is_some_and(|one| one != black);
         let gives_off = |spec: &MaterialSpec| spec.emissive.is_some_and(|one| one != black);
         Looks {
