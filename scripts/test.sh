@@ -94,6 +94,7 @@ data=${POINTILLIST_DATA:-../shared/data}
 [ -d "$data" ] || skip "real data" "no folder $data (POINTILLIST_DATA); tests that read real files skip themselves"
 
 if cargo nextest --version >/dev/null 2>&1; then
+    check "build of tests" cargo nextest run --no-run --cargo-quiet --locked "${features[@]}"
     tests "cargo nextest" cargo nextest run --locked "${features[@]}" --no-fail-fast --success-output never
     tests "cargo test doc" cargo test --locked "${features[@]}" --doc
 else

@@ -154,6 +154,17 @@ fn no_splat() -> Splat {
     return splat;
 }
 
+// Whether a node of a mesh, whose centre's image is given, leaves out the middle of the pixel that its centre is in. Outlines would be half a pixel
+// too wide if it filled that pixel. Nodes of clouds fill it.
+fn is_passed_by(slot: SplatSlot, at: u32, centre: vec3<f32>, image: vec2<f32>) -> bool {
+    let own = attributes[at];
+    if !is_whole(own.x) || (own.x >> 24u) >= FILLS || !(centre.z > NEAREST) {
+        return false;
+    }
+    let beside = at_depth(floor(image) + vec2<f32>(0.5), centre.z) - centre;
+    return !covers_pixel(at, own, slot.unit, centre, beside, slot.areas);
+}
+
 fn splat_of(slot: SplatSlot, sample: u32) -> Splat {
     let at = slot.first + sample;
     let p = splat_centre(slot, sample);
@@ -192,5 +203,9 @@ fn splat_of(slot: SplatSlot, sample: u32) -> Splat {
         lines = vec2<u32>(NO_LINE);
         orientation = 0.0;
     }
-    return make_splat((slot.index << SLOT_SHIFT) | sample, p, image.u, image.v, lines, orientation);
+    var splat = make_splat((slot.index << SLOT_SHIFT) | sample, p, image.u, image.v, lines, orientation);
+    if TREE && NARROW {
+        splat.passed_by = is_passed_by(slot, at, centre, splat.centre);
+    }
+    return splat;
 }

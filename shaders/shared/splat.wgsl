@@ -70,6 +70,8 @@ struct Splat {
     way: u32,
     // Reaches the camera plane.
     crosses: bool,
+    // Does not fill the pixel of its centre: what it stands for passes by that pixel's middle.
+    passed_by: bool,
     facing: u32,
     // Origin of offsets.
     centre: vec2<f32>,
@@ -127,7 +129,7 @@ fn splat_meets(splat: Splat, d: vec2<f32>, q: f32) -> bool {
     if ORTHOGRAPHIC && !(linear(splat.inverse, d) > NEAREST) {
         return false;
     }
-    let holds_centre = !splat.crosses && all(d > vec2<f32>(-0.5)) && all(d <= vec2<f32>(0.5));
+    let holds_centre = !splat.crosses && !splat.passed_by && all(d > vec2<f32>(-0.5)) && all(d <= vec2<f32>(0.5));
     var own = q;
     if NARROW {
         own = distance_of(splat, splat.own_s, splat.own_t, d);

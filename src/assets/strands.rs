@@ -163,6 +163,22 @@ impl<'a> Strands<'a> {
         self.normal = normal;
     }
 
+    /// Adds vertices with finite places to the strand, which has no other attributes than places.
+    ///
+    /// # Errors
+    /// More vertices than the options allow, or than there is memory for.
+    pub fn places(
+        &mut self,
+        places: impl ExactSizeIterator<Item = DVec3>,
+    ) -> Result<(), AssetError> {
+        let count = (self.lines.positions.len() + places.len()) as u64;
+        AssetError::check_limit(self.file, "vertices", count, self.max_vertices)?;
+        self.meter.reach(count * self.bytes_each)?;
+        self.came += places.len() as u64;
+        self.lines.positions.extend(places);
+        Ok(())
+    }
+
     /// Adds a vertex to the strand.
     ///
     /// # Errors

@@ -203,12 +203,16 @@ fn data(
             .take(wish)
             .read_to_end(&mut block)
             .map_err(|source| AssetError::io(file, source))?;
-        for bytes in block.chunks_exact(float.triple_bytes()) {
-            let position = float.decode(bytes);
-            if position.is_finite() {
+        let mut triples = block.chunks_exact(float.triple_bytes());
+        while triples.len() > 0 {
+            let is_finite = |bytes: &&[u8]| float.decode(bytes).is_finite();
+            let vertices = triples.clone().take_while(is_finite).count();
+            if vertices > 0 {
                 is_open = true;
-                strands.vertex(Vertex::at(position))?;
-            } else if position.is_nan_mask().all() {
+                strands.places((&mut triples).take(vertices).map(|bytes| float.decode(bytes)))?;
+            }
+            let Some(position) = triples.next().map(|bytes| float.decode(bytes)) else { break };
+            if position.is_nan_mask().all() {
                 streamlines += u64::from(is_open);
                 is_open = false;
                 strands.cut()?;

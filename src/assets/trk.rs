@@ -170,13 +170,24 @@ impl<R: Read> Body<'_, R> {
 
     /// Adds the points in the first bytes of the block.
     fn vertices(&mut self, bytes: usize, strands: &mut Strands) -> Result<(), AssetError> {
-        let (order, color) = (self.order, self.color);
-        for point in self.block[..bytes].chunks_exact(self.point_bytes) {
+        let (order, color, ras_from_file) = (self.order, self.color, self.ras_from_file);
+        let points = self.block[..bytes].chunks_exact(self.point_bytes);
+        let number = |numbers: &[[u8; 4]], at: usize| {
+            numbers.get(at).map_or(f32::NAN, |bytes| order.float(*bytes))
+        };
+        let position = |point: &[u8]| {
             let numbers = point.as_chunks::<4>().0;
-            let number = |at: usize| numbers.get(at).map_or(f32::NAN, |bytes| order.float(*bytes));
-            let place = DVec3::new(number(0).into(), number(1).into(), number(2).into());
-            let position = self.ras_from_file.transform_point3(place);
-            let mut vertex = Vertex::at(position);
+            let place = [0, 1, 2].map(|at| f64::from(number(numbers, at)));
+            ras_from_file.transform_point3(DVec3::from_array(place))
+        };
+        let has_places_alone = self.scalars == 0 && self.properties.is_empty();
+        if has_places_alone && points.clone().all(|point| position(point).is_finite()) {
+            return strands.places(points.map(position));
+        }
+        for point in points {
+            let numbers = point.as_chunks::<4>().0;
+            let number = |at: usize| number(numbers, at);
+            let mut vertex = Vertex::at(position(point));
             if self.scalars > 0 || !self.properties.is_empty() {
                 self.values.clear();
                 for at in 0..self.scalars {

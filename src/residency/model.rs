@@ -231,7 +231,8 @@ impl SceneModel {
         // Thin lines and ribbons have Phong's model, whatever their material. So has every surface of a node whose material has one of its keys.
         let has_phong = self.counts().segments > 0 || own.iter().any(MaterialSpec::is_phong);
         // An unlit surface shows no highlight, unless a node's material lights it.
-        let is_lit = |one: &Material| !one.unlit || own.iter().any(|spec| spec.unlit == Some(false));
+        let is_lit =
+            |one: &Material| !one.unlit || own.iter().any(|spec| spec.unlit == Some(false));
         let shines = materials.clone().any(|one| {
             one.specular != black && is_lit(one) && (has_phong || one.physical.is_none())
         });
