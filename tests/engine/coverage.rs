@@ -139,10 +139,10 @@ fn what_has_appeared_stays() {
     assert!(counts[0] < 5 && counts[3] > 1 && counts[3] < 14, "{counts:?}");
 }
 
-/// At a small error, points of a mesh have the outlines of its triangles, not of all pixels that these touch, and nothing is
+/// At a small error, points and splats of a mesh have the outlines of its triangles, not of all pixels that these touch, and nothing is
 /// missing.
 #[test]
-fn points_of_a_mesh_reach_no_farther_than_its_triangles() {
+fn nodes_of_a_mesh_reach_no_farther_than_its_triangles() {
     let studio = Studio::new();
     studio.write("g.ply", sphere(80));
     let scale = [1.0, 0.7, 0.4];
@@ -151,7 +151,14 @@ fn points_of_a_mesh_reach_no_farther_than_its_triangles() {
         "nodes": [{ "asset": "g", "scale": scale, "rotate": [30, 20, 40] }],
     });
     studio.load_json("one", &scene);
-    let mut sums = [0usize; 3];
+    let nodes = [
+        (0.25, Reconstruct::Points, 1.02),
+        (0.5, Reconstruct::Points, 1.05),
+        (0.25, Reconstruct::Splats, 1.02),
+        (0.5, Reconstruct::Splats, 1.05),
+        (1.0, Reconstruct::Splats, 1.1),
+    ];
+    let (mut of_triangles, mut of_nodes) = (0, [0usize; 5]);
     for number in 0..12 {
         let seen = |settings| {
             let eye = DVec3::new(0.2, 0.1, 1.0).normalize_or(DVec3::Z)
@@ -166,15 +173,20 @@ fn points_of_a_mesh_reach_no_farther_than_its_triangles() {
             ids(&studio.bytes(&request)).iter().map(|&id| id != 0).collect::<Vec<_>>()
         };
         let whole = seen(Settings::drawn_as(Reconstruct::Points));
-        for (sum, px) in sums[1..].iter_mut().zip([0.25, 0.5]) {
-            let found = seen(spt(px, Reconstruct::Points));
+        for (sum, (px, reconstruct, _)) in of_nodes.iter_mut().zip(nodes) {
+            let found = seen(spt(px, reconstruct));
             *sum += found.iter().filter(|&&is_seen| is_seen).count();
             let missing = (0..found.len()).filter(|&at| whole[at] && !found[at]).count();
-            assert!(missing <= 1, "{number}, {px} px: {missing} pixels are missing");
+            assert!(
+                missing <= 1,
+                "{number}, {px} px, {reconstruct:?}: {missing} pixels are missing"
+            );
         }
-        sums[0] += whole.iter().filter(|&&is_seen| is_seen).count();
+        of_triangles += whole.iter().filter(|&&is_seen| is_seen).count();
     }
-    let [small, large] = [1, 2].map(|at| sums[at] as f64 / sums[0] as f64);
-    println!("{:?} pixels: {small:.3} and {large:.3}", sums);
-    assert!(small < 1.02 && large < 1.05, "{small} and {large}");
+    for (sum, (px, reconstruct, most)) in of_nodes.into_iter().zip(nodes) {
+        let ratio = sum as f64 / of_triangles as f64;
+        println!("{px} px, {reconstruct:?}: {ratio:.3}");
+        assert!(ratio < most, "{px} px, {reconstruct:?}: {ratio}");
+    }
 }
