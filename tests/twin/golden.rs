@@ -61,9 +61,9 @@ fn compare_with(scene: &str, cameras: &[&str], settings: Settings, suffix: &str)
         if let Some(projection) = settings.projection {
             camera = camera.with_projection(projection);
         }
-        let frame = case.draw_with(&camera.view(WIDTH, HEIGHT).unwrap(), settings);
-        assert!(frame.color.iter().all(|color| color[3] == 255), "{name} is translucent");
-        hold(&name, &frame.color);
+        let colors = case.colors(&camera.view(WIDTH, HEIGHT).unwrap(), settings);
+        assert!(colors.iter().all(|color| color[3] == 255), "{name} is translucent");
+        hold(&name, &colors);
     }
 }
 

@@ -1,15 +1,17 @@
 //! The engines under test, and their scenes.
 
 use std::path::{Path, PathBuf};
-use std::sync::LazyLock;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{LazyLock, OnceLock};
 use std::time::Duration;
 
 use glam::DVec3;
 use pointillist::accuracy::reference::Reference;
 use pointillist::assets::ReadOptions;
 use pointillist::encode::ImageFormat;
-use pointillist::engine::{Engine, EngineConfig, FrameRequest, NodePatch, Pose, Receipt};
+use pointillist::engine::{
+    Engine, EngineConfig, FrameRequest, FrameTicket, NodePatch, Pose, Receipt,
+};
 use pointillist::math::{Camera, View};
 use pointillist::plan::{Edl, LineWidth, Output, Pass, Reconstruct, Settings, Shadows};
 use pointillist::scene::SceneLimits;
@@ -84,10 +86,6 @@ pub fn wide_engine() -> &'static Engine {
     &WIDE
 }
 
-fn engines() -> [&'static Engine; 3] {
-    [&WIDE, &NARROW, &RASTERISING]
-}
-
 /// Removes folders of runs that are an hour old or more.
 fn remove_old(runs: &Path) {
     const KEPT: std::time::Duration = std::time::Duration::from_secs(3600);
@@ -112,10 +110,12 @@ pub fn folder() -> &'static Path {
     &FOLDER
 }
 
-/// A scene, loaded into all engines and as a reference.
+/// A scene, loaded into the engine with 64-bit atomics and as a reference. The other engines load it for their first frame of it.
 pub struct Case {
     pub id: String,
     pub reference: Reference,
+    path: PathBuf,
+    in_others: [OnceLock<()>; 2],
 }
 
 /// The four images of a frame.
@@ -176,18 +176,38 @@ impl Case {
 
     /// Loads a file in the folder.
     pub fn load(id: &str, path: &Path) -> Case {
-        for engine in engines() {
-            engine.load(id, path).unwrap_or_else(|error| panic!("{id}: {error}"));
-        }
+        WIDE.load(id, path).unwrap_or_else(|error| panic!("{id}: {error}"));
         let (read, limits) = (ReadOptions::default(), SceneLimits::default());
         let reference = Reference::load(path, &FOLDER, &read, &limits).unwrap();
-        Case { id: id.to_owned(), reference }
+        Case { id: id.to_owned(), reference, path: path.to_owned(), in_others: Default::default() }
+    }
+
+    /// The engine without 64-bit atomics, with the scene.
+    fn narrow(&self) -> &'static Engine {
+        self.with_scene(&NARROW, &self.in_others[0])
+    }
+
+    /// The engine with the adapter's rasteriser, with the scene.
+    fn rasterising(&self) -> &'static Engine {
+        self.with_scene(&RASTERISING, &self.in_others[1])
+    }
+
+    fn with_scene(&self, engine: &'static Engine, loaded: &OnceLock<()>) -> &'static Engine {
+        loaded.get_or_init(|| {
+            let loaded = engine.load(&self.id, &self.path);
+            loaded.unwrap_or_else(|error| panic!("{}: {error}", self.id));
+        });
+        engine
+    }
+
+    fn engines(&self) -> [&'static Engine; 3] {
+        [&WIDE, self.narrow(), self.rasterising()]
     }
 
     /// Shows or hides a top-level node in all engines; the reference is unchanged.
     pub fn show(&self, node: &str, visible: bool) {
         let patch = NodePatch { visible: Some(visible), ..NodePatch::default() };
-        for engine in engines() {
+        for engine in self.engines() {
             engine.patch(&self.id, node, &patch).unwrap();
         }
     }
@@ -205,7 +225,7 @@ impl Case {
     /// As [`Case::draw_with`], from any pose.
     pub fn draw_from(&self, pose: &Pose, size: (u32, u32), settings: Settings) -> Frames {
         let wide = frames_from(&WIDE, &self.id, pose, size, settings);
-        let narrow = frames_from(&NARROW, &self.id, pose, size, settings);
+        let narrow = frames_from(self.narrow(), &self.id, pose, size, settings);
         for pass in &narrow.receipt.passes {
             let second = [
                 Pass::ProjectSamplesId,
@@ -227,6 +247,13 @@ impl Case {
         frames(&WIDE, &self.id, view, settings)
     }
 
+    /// The colours of the frame with 64-bit atomics.
+    pub fn colors(&self, view: &View, settings: Settings) -> Vec<[u8; 4]> {
+        let (pose, size) = (Pose::View(*view), (view.width, view.height));
+        let frame = submit(&WIDE, &self.id, &pose, size, settings, Output::Color).wait().unwrap();
+        frame.bytes.as_chunks().0.to_vec()
+    }
+
     /// Draws the frame with every engine: with 64-bit atomics, without, and with the rasteriser and hidden chunks.
     pub fn each(&self, view: &View) -> [Frames; 3] {
         self.each_with(view, points())
@@ -234,7 +261,7 @@ impl Case {
 
     /// As [`Case::each`], with settings.
     pub fn each_with(&self, view: &View, settings: Settings) -> [Frames; 3] {
-        engines().map(|engine| frames(engine, &self.id, view, settings))
+        self.engines().map(|engine| frames(engine, &self.id, view, settings))
     }
 
     /// Draws the frame and compares it with the oracle's; fails with images.
@@ -242,7 +269,7 @@ impl Case {
         let frames = self.draw(view);
         verdict::judge(&self.id, &self.reference, view, &frames, tolerance);
         if frames.receipt.triangles.rasterised.is_some_and(|large| large > 0) {
-            let rasterised = self::frames(&RASTERISING, &self.id, view, points());
+            let rasterised = self::frames(self.rasterising(), &self.id, view, points());
             let ran = |frames: &Frames, passes: [Pass; 2]| passes.iter().any(|&p| frames.ran(p));
             assert!(ran(&rasterised, [Pass::RasteriseTriangles, Pass::RasteriseTrianglesLayers]));
             assert!(ran(&frames, [Pass::WalkTriangles, Pass::WalkTrianglesLayers]));
@@ -265,8 +292,11 @@ impl Case {
 
 impl Drop for Case {
     fn drop(&mut self) {
-        for engine in engines() {
-            let _ = engine.remove(&self.id);
+        let _ = WIDE.remove(&self.id);
+        for (engine, loaded) in [&NARROW, &RASTERISING].into_iter().zip(&self.in_others) {
+            if loaded.get().is_some() {
+                let _ = engine.remove(&self.id);
+            }
         }
     }
 }
@@ -292,6 +322,33 @@ fn frames(engine: &Engine, scene: &str, view: &View, settings: Settings) -> Fram
     frames_from(engine, scene, &Pose::View(*view), (view.width, view.height), settings)
 }
 
+fn submit(
+    engine: &Engine,
+    scene: &str,
+    pose: &Pose,
+    (width, height): (u32, u32),
+    settings: Settings,
+    output: Output,
+) -> FrameTicket {
+    // The oracle uses eye-dome lighting only if a test requests it.
+    let edl = if settings.edl == Edl::Auto { Edl::Off } else { settings.edl };
+    // It draws lines with their true widths, unless a test asks for others.
+    let is_open = settings.line_width_px == LineWidth::default();
+    let line_width_px = if is_open { 0.0.into() } else { settings.line_width_px };
+    let request = FrameRequest {
+        scene: scene.to_owned(),
+        pose: pose.clone(),
+        width,
+        height,
+        settings: Settings { edl, line_width_px, ..settings },
+        output,
+        format: ImageFormat::Raw,
+        quality: 85,
+        deadline: None,
+    };
+    engine.submit(request).unwrap()
+}
+
 fn frames_from(
     engine: &Engine,
     scene: &str,
@@ -299,28 +356,10 @@ fn frames_from(
     (width, height): (u32, u32),
     settings: Settings,
 ) -> Frames {
-    // The oracle uses eye-dome lighting only if a test requests it.
-    let edl = if settings.edl == Edl::Auto { Edl::Off } else { settings.edl };
-    // It draws lines with their true widths, unless a test asks for others.
-    let is_open = settings.line_width_px == LineWidth::default();
-    let line_width_px = if is_open { 0.0.into() } else { settings.line_width_px };
-    let settings = Settings { edl, line_width_px, ..settings };
     // All four requests wait at the same time, so that they share a submission.
     let outputs = [Output::Color, Output::Depth, Output::Normal, Output::Id];
-    let tickets = outputs.map(|output| {
-        let request = FrameRequest {
-            scene: scene.to_owned(),
-            pose: pose.clone(),
-            width,
-            height,
-            settings,
-            output,
-            format: ImageFormat::Raw,
-            quality: 85,
-            deadline: None,
-        };
-        engine.submit(request).unwrap()
-    });
+    let tickets =
+        outputs.map(|output| submit(engine, scene, pose, (width, height), settings, output));
     let [color, depth, normal, id] = tickets.map(|ticket| ticket.wait().unwrap());
     let words = |bytes: &[u8]| -> Vec<[u8; 4]> { bytes.as_chunks().0.to_vec() };
     Frames {
