@@ -2,6 +2,8 @@
 //!
 //! Uniform buffers of groups 0 and 2 are bound with a dynamic offset: one buffer holds the uniforms of a whole batch.
 
+use std::borrow::Cow;
+
 use naga::{AddressSpace, StorageAccess};
 
 use super::Gpu;
@@ -107,10 +109,8 @@ fn reflect(
         bind_group_layouts: &[Some(&layouts[0]), Some(&layouts[1]), Some(&layouts[2])],
         immediate_size: 0,
     });
-    let descriptor = wgpu::ShaderModuleDescriptor {
-        label: Some(name),
-        source: wgpu::ShaderSource::Wgsl(composed.source.as_str().into()),
-    };
+    let source = wgpu::ShaderSource::Naga(Cow::Owned(parsed));
+    let descriptor = wgpu::ShaderModuleDescriptor { label: Some(name), source };
     let mut checks = wgpu::ShaderRuntimeChecks::checked();
     checks.force_loop_bounding = false;
     #[allow(
