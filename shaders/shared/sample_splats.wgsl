@@ -154,8 +154,8 @@ fn no_splat() -> Splat {
     return splat;
 }
 
-// Whether a node of a mesh, whose centre's image is given, leaves out the middle of the pixel that its centre is in. Outlines would be half a pixel
-// too wide if it filled that pixel. Nodes of clouds fill it.
+// Whether a node of a mesh does not cover the middle of the pixel that holds its centre; `image` is the centre's place in the image. Outlines would be
+// half a pixel too wide if the node filled that pixel. Nodes of clouds always fill it.
 fn is_passed_by(slot: SplatSlot, at: u32, centre: vec3<f32>, image: vec2<f32>) -> bool {
     let own = attributes[at];
     if !is_whole(own.x) || (own.x >> 24u) >= FILLS || !(centre.z > NEAREST) {

@@ -70,7 +70,7 @@ struct Splat {
     way: u32,
     // Reaches the camera plane.
     crosses: bool,
-    // Does not fill the pixel of its centre: what it stands for passes by that pixel's middle.
+    // Leaves out the pixel that holds its centre: its node does not cover the middle of that pixel.
     passed_by: bool,
     facing: u32,
     // Origin of offsets.

@@ -163,7 +163,7 @@ impl<'a> Strands<'a> {
         self.normal = normal;
     }
 
-    /// Adds vertices with finite places to the strand, which has no other attributes than places.
+    /// Adds vertices that have finite places and nothing else. The strands have neither radii nor normals, and no colours or fields from the file.
     ///
     /// # Errors
     /// More vertices than the options allow, or than there is memory for.
