@@ -204,8 +204,8 @@ fn frames_are_equal(force_32_bit: bool) {
     for (number, view) in views().into_iter().chain(wide).enumerate() {
         // All filters for the first view.
         for settings in settings().into_iter().take(if number == 0 { usize::MAX } else { 7 }) {
-            // Ids show anything that is missing.
-            let outputs = if number == 0 { &OUTPUTS[..] } else { &[Output::Id] };
+            // Ids show anything that is missing. The other outputs are drawn on one kind of adapter: twin tests hold the two kinds against each other.
+            let outputs = if number == 0 && !force_32_bit { &OUTPUTS[..] } else { &[Output::Id] };
             for &output in outputs {
                 let settings = Settings { projection: view.settings.projection, ..settings };
                 let request = FrameRequest { settings, output, ..view.clone() };
@@ -239,15 +239,12 @@ fn frames_are_equal(force_32_bit: bool) {
 #[test]
 fn every_pass_is_recorded_by_some_frame_in_the_order_of_the_table() {
     let mut recorded = BTreeSet::new();
-    for narrow in [false, true] {
-        let studios = [false, true].map(|rasterises| {
-            let studio = Studio::with(|config| {
-                config.force_32_bit = narrow;
-                config.rasterise = Some(rasterises);
-            });
-            load(&studio);
-            studio
+    for (narrow, rasterises) in [(false, false), (false, true), (true, false)] {
+        let studio = Studio::with(|config| {
+            config.force_32_bit = narrow;
+            config.rasterise = Some(rasterises);
         });
+        load(&studio);
         let shaped = Settings { edl: Edl::On, ..Settings::drawn_as(Reconstruct::Points) };
         let fine =
             Settings { antialias: Antialias::Parts4, ..Settings::drawn_as(Reconstruct::Points) };
@@ -261,18 +258,16 @@ fn every_pass_is_recorded_by_some_frame_in_the_order_of_the_table() {
         for (scene, settings) in frames {
             let scene = scene.to_owned();
             let request = FrameRequest { scene, settings, ..views().remove(0) };
-            for studio in &studios {
-                let receipt = &studio.frame(&request).receipt;
-                let place = |name| Pass::ALL.iter().position(|pass| pass.name() == name).unwrap();
-                let (ran, skipped): (Vec<_>, Vec<_>) = receipt.passes.iter().partition(|p| p.ran);
-                let places: Vec<usize> = ran.iter().map(|pass| place(pass.name)).collect();
-                assert!(places.is_sorted_by(|a, b| a < b), "{settings:?}: {ran:?}");
-                let all = places.iter().copied().chain(skipped.iter().map(|p| place(p.name)));
-                assert_eq!(all.collect::<BTreeSet<_>>().len(), Pass::ALL.len(), "{settings:?}");
-                assert_eq!(receipt.passes.len(), Pass::ALL.len(), "{settings:?}");
-                assert!(skipped.iter().all(|pass| pass.why.is_some()));
-                recorded.extend(ran.iter().map(|pass| pass.name));
-            }
+            let receipt = &studio.frame(&request).receipt;
+            let place = |name| Pass::ALL.iter().position(|pass| pass.name() == name).unwrap();
+            let (ran, skipped): (Vec<_>, Vec<_>) = receipt.passes.iter().partition(|p| p.ran);
+            let places: Vec<usize> = ran.iter().map(|pass| place(pass.name)).collect();
+            assert!(places.is_sorted_by(|a, b| a < b), "{settings:?}: {ran:?}");
+            let all = places.iter().copied().chain(skipped.iter().map(|p| place(p.name)));
+            assert_eq!(all.collect::<BTreeSet<_>>().len(), Pass::ALL.len(), "{settings:?}");
+            assert_eq!(receipt.passes.len(), Pass::ALL.len(), "{settings:?}");
+            assert!(skipped.iter().all(|pass| pass.why.is_some()));
+            recorded.extend(ran.iter().map(|pass| pass.name));
         }
     }
     let mut all: BTreeSet<&str> = Pass::ALL.iter().map(|pass| pass.name()).collect();
