@@ -41,9 +41,10 @@ fuzz-http: setup ## 10,000 requests made from openapi.yaml, to a server of its o
 fmt: ## format the code
 	cargo fmt
 
-lint: setup ## formatting and lints alone
+lint: setup ## formatting, lints and links between doc comments
 	cargo fmt --check
 	cargo clippy --all-targets --locked $$(scripts/features.sh) -- -D warnings
+	RUSTDOCFLAGS="-D warnings -A rustdoc::private-intra-doc-links" cargo doc --quiet --no-deps --locked $$(scripts/features.sh) --document-private-items
 
 bench: setup ## speed and memory, beside VTK on the same machine (BENCH_QUICK=1, BENCH_RECORD=1)
 	@scripts/bench.sh

@@ -69,7 +69,6 @@ read -ra features <<<"$(scripts/features.sh)"
 
 check "cargo fmt" cargo fmt --check
 check "cargo clippy" cargo clippy --quiet --all-targets --locked "${features[@]}" -- -D warnings
-check "cargo doc" env RUSTDOCFLAGS="-D warnings -A rustdoc::private-intra-doc-links" cargo doc --quiet --no-deps --locked "${features[@]}" --document-private-items
 
 # Sets up a tool that tests use. Where that works, the tests may not skip themselves.
 tool() { # NAME SETUP VARIABLE REASON

@@ -239,7 +239,7 @@ fn frames_are_equal(force_32_bit: bool) {
 #[test]
 fn every_pass_is_recorded_by_some_frame_in_the_order_of_the_table() {
     let mut recorded = BTreeSet::new();
-    for (narrow, rasterises) in [(false, false), (false, true), (true, false)] {
+    for (narrow, rasterises) in [(false, false), (false, true), (true, false), (true, true)] {
         let studio = Studio::with(|config| {
             config.force_32_bit = narrow;
             config.rasterise = Some(rasterises);
@@ -256,6 +256,11 @@ fn every_pass_is_recorded_by_some_frame_in_the_order_of_the_table() {
             [("glass", points), ("mist", points), ("mist", splats), ("smoke", points)];
         let frames = rows.map(|settings| ("rows", settings)).chain(translucent);
         for (scene, settings) in frames {
+            // The rasteriser without 64-bit atomics has passes of its own for triangles alone.
+            let draws_triangles = settings == points && ["rows", "glass"].contains(&scene);
+            if narrow && rasterises && !draws_triangles {
+                continue;
+            }
             let scene = scene.to_owned();
             let request = FrameRequest { scene, settings, ..views().remove(0) };
             let receipt = &studio.frame(&request).receipt;
