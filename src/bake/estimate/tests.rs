@@ -24,7 +24,7 @@ fn check(name: &str, cloud: PointCloud) {
     let oriented = cloud.normals.is_some();
     let cloud = PointCloud { colors: Some(colors), oriented, ..cloud };
     let expected = format!("{:?}", all_at_once(&cloud));
-    for piece in [1, 5] {
+    for piece in [1, 5, 1000] {
         let found = pack_in_pieces(cloud.clone(), piece, None, &|_| ()).unwrap();
         assert!(format!("{found:?}") == expected, "{name}, pieces of {piece} chunks");
     }
