@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, ensure};
 use common::drawing::{Drawing, Orbit, gpu_ms};
 use common::peer::Peer;
-use common::report::{Report, number};
+use common::report::{Bound, Report, number};
 use common::solid::{self, Solid, Truth, covered, footprint, pixels_of_png};
 use common::{files, folder, median, median_ratio, ms, pick};
 use pointillist::accuracy::metrics;
@@ -328,6 +328,8 @@ fn tell(
         if program == "Pointillist" {
             continue;
         }
+        // Of all ways of the peer. A way that none of our settings equals counts as infinitely fast.
+        let mut least: Option<f64> = None;
         for peer in front {
             let enough = ways.iter().filter(|way| {
                 matches!(way.drawn_by, Program::Ours(_)) && way.decibels() >= peer.decibels()
@@ -348,6 +350,7 @@ fn tell(
                 ],
             });
             row.push(ratio.map_or("—".to_owned(), number));
+            least = Some(least.unwrap_or(f64::INFINITY).min(ratio.unwrap_or(0.0)));
             values.push(json!({
                 "program": program,
                 "how": peer.name,
@@ -360,6 +363,12 @@ fn tell(
             }));
             equal.push(row);
         }
+        report.target(
+            &format!("time of {program} at equal picture error over ours, worst way to draw {count} samples"),
+            least,
+            Bound::AtLeast(1.0),
+            "times",
+        );
     }
     all.extend(ways.iter().map(described));
     report.value(&format!("{count} samples"), Value::Array(values));

@@ -2,8 +2,9 @@
 # What accuracy costs in time for three scenes, VTK and Open3D at equal picture error, the tables of four papers with ours beside them, the
 # promises of frames, and every effect beside the reference, in one report: target/report/index.html, report.md, report.json and headline.svg.
 #
-#   scripts/report.sh [PART…]      all parts, or the named ones (town plaza relief equal stability promises checkerboard planner audit splats pull_push painted lod trees effects)
-#   REPORT_RECORD=1                copies the plot to docs/img/cost.svg, the sheets of effects to docs/img/effects-*.png, and the report to benches/results/, named after the day
+#   scripts/report.sh [PART…]      all parts, or the named ones; a wrong name prints their list
+#   REPORT_RECORD=1                copies the plot to docs/img/cost.svg, the sheets of effects to docs/img/effects-*.png, and the report to benches/results/, named after the day;
+#                                  only where every part was measured to its end
 #   REPORT_QUICK=1                 smoke check in two minutes: tiny sizes, figures without meaning, in target/report-quick
 #   REPORT_FRESH=1                 measures everything anew
 #   REPORT_MINUTES=N               time for all measurements, without building [30]
@@ -13,6 +14,7 @@
 set -euo pipefail
 
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
+started=$SECONDS
 is_set() { [ -n "${1:-}" ] && [ "$1" != 0 ]; }
 all=(town plaza relief equal stability promises checkerboard planner audit splats pull_push painted lod trees effects)
 if [ "$#" -gt 0 ]; then parts=("$@"); else parts=("${all[@]}"); fi
@@ -44,7 +46,7 @@ benches=(equal painted splats lod pull_push trees planner audit effects report)
 cargo bench --locked --no-run "${benches[@]/#/--bench=}"
 
 # Measurements of another build, or of another extent, are not continued.
-build="$(cksum <"$binary") $(cat benches/*.rs benches/common/*.rs benches/effects/*.rs benches/peers/*.py tests/twin/files.rs | cksum)"
+build="$(cksum <"$binary") $(cat benches/*.rs benches/common/*.rs benches/effects/*.rs benches/peers/*.py tests/twin/files.rs scripts/report.sh scenes/*.* scenes/hard/* | cksum)"
 if is_set "${REPORT_FRESH:-}" || [ "$build" != "$(cat "$folder/build" 2>/dev/null)" ]; then rm -rf "$folder"; fi
 mkdir -p "$folder/benches" "$folder/parts"
 echo "$build" >"$folder/build"
@@ -128,7 +130,7 @@ limit_s() {
 
 # A part runs in a process group of its own, so that it can be stopped with all that it started.
 set -m
-worker='' watch=''
+worker='' watch='' reused=''
 stop() { # PROCESS_GROUP…
     for group in "$@"; do kill -TERM -- "-$group" 2>/dev/null || true; done
 }
@@ -137,6 +139,7 @@ began=$SECONDS
 for part in "${parts[@]}"; do
     if [ "$(cut -f3 "$folder/parts/$part" 2>/dev/null)" = done ]; then
         echo "report: $part has been measured before"
+        reused="$reused $part"
         continue
     fi
     start=$SECONDS status=0 limit=$(limit_s "$part")
@@ -177,20 +180,13 @@ fi
 for part in "${all[@]}"; do
     cat "$folder/parts/$part" 2>/dev/null || printf '%s\t–\tnot measured\n' "$part"
 done >"$folder/parts.tsv"
+# Minutes of this run, with building; none where an earlier run measured some of the parts.
+rm -f "$folder/minutes"
+if [ -z "$reused" ] && [ "${#parts[@]}" = "${#all[@]}" ]; then
+    awk -v seconds=$((SECONDS - started)) 'BEGIN { printf "%.1f\n", seconds / 60 }' >"$folder/minutes"
+fi
 cargo bench --quiet --locked --bench report
 
-if is_set "${REPORT_RECORD:-}"; then
-    if is_set "${REPORT_QUICK:-}"; then
-        echo "report: a smoke check is not recorded: its figures mean nothing" >&2
-        exit 2
-    fi
-    cp "$folder/headline.svg" docs/img/cost.svg
-    if [ -f "$folder/effects-1.png" ]; then cp "$folder"/effects-*.png docs/img/; fi
-    cp "$folder/report.md" "benches/results/report-$(date -u +%F).md"
-    # The report shows the plot and the sheets beside it.
-    sed -i 's|(headline.svg)|(../../docs/img/cost.svg)|; s|(\(effects-[0-9]*.png\))|(../../docs/img/\1)|; /^\[.*index.html)$/d' "benches/results/report-$(date -u +%F).md"
-    echo "report: recorded docs/img/cost.svg and benches/results/report-$(date -u +%F).md"
-fi
 failed=()
 for part in "${parts[@]}"; do
     if [ "$(cut -f3 "$folder/parts/$part")" != "done" ]; then failed+=("$part"); fi
@@ -198,5 +194,21 @@ done
 if [ "${#failed[@]}" -gt 0 ]; then
     echo "report: without: ${failed[*]}; the same command measures them again" >&2
     exit 1
+fi
+if is_set "${REPORT_RECORD:-}"; then
+    if is_set "${REPORT_QUICK:-}"; then
+        echo "report: a smoke check is not recorded: its figures mean nothing" >&2
+        exit 2
+    fi
+    if [ "$(cut -f3 "$folder/parts.tsv" | sort -u)" != done ]; then
+        echo "report: not recorded: some parts were not measured to their end" >&2
+        exit 1
+    fi
+    cp "$folder/headline.svg" docs/img/cost.svg
+    cp "$folder"/effects-*.png docs/img/
+    cp "$folder/report.md" "benches/results/report-$(date -u +%F).md"
+    # The report shows the plot and the sheets beside it.
+    sed -i 's|(headline.svg)|(../../docs/img/cost.svg)|; s|(\(effects-[0-9]*.png\))|(../../docs/img/\1)|; /^\[.*index.html)$/d' "benches/results/report-$(date -u +%F).md"
+    echo "report: recorded docs/img/cost.svg and benches/results/report-$(date -u +%F).md"
 fi
 echo "report: $folder/index.html"

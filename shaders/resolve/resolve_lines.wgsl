@@ -200,7 +200,7 @@ fn resolve(column: Column) {
     }
     surface.color = material.base_color.rgb * mix(color_a, color_b, share);
     if SHOWS_FIELD {
-        surface.color = linear_color(field_color_between(seen.line.words / LINE_WORDS, share, instance));
+        surface.color = linear_color(field_color_between(seen.line.words / line_words(), share, instance));
     }
     if is_round {
         finish(column.pixel, column.at, surface);

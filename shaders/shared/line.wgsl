@@ -14,8 +14,9 @@
 // The lines of the page are ribbons.
 override RIBBONS: bool = false;
 
-// Words of a vertex: grid position, sRGB8 colour, radius in cells, normal, direction of the width.
-const LINE_WORDS: u32 = 7u;
+// Words of a vertex: grid position, sRGB8 colour, radius in cells; for ribbons also normal and direction of the width.
+const TUBE_WORDS: u32 = 5u;
+const RIBBON_WORDS: u32 = 7u;
 const LINE_BEGINS: u32 = 0x100000u;
 const LINE_ENDS: u32 = 0x200000u;
 const LINE_HASH: u32 = 0xffc00000u;
@@ -78,6 +79,10 @@ struct LineHit {
     width_px: f32,
     // Triangle of a ribbon that is not drawn as a strip: 1 or 2.
     triangle: u32,
+}
+
+fn line_words() -> u32 {
+    return select(TUBE_WORDS, RIBBON_WORDS, RIBBONS);
 }
 
 fn camera_of(at: Placed, d: vec3<f32>) -> vec3<f32> {
@@ -155,7 +160,7 @@ fn line_of(at: Placed, scale: f32, vertex_first: u32, index: u32) -> Line {
     var line: Line;
     line.link = segment_words.x;
     line.number = segment_words.y;
-    line.words = (vec2<u32>(vertex_first) + vec2<u32>(line.link & 1023u, (line.link >> 10u) & 1023u)) * LINE_WORDS;
+    line.words = (vec2<u32>(vertex_first) + vec2<u32>(line.link & 1023u, (line.link >> 10u) & 1023u)) * line_words();
     let a = line_cell(line.words.x);
     let b = line_cell(line.words.y);
     line.a = grid_to_camera(at, a);

@@ -41,7 +41,7 @@ use super::tree::TreeStatistics;
 /// or of the codes of [`super::tree`]. The result of baking has a version of its own in the key
 /// ([`super::tree::BAKING_VERSION`]). The crate's version is not part of an entry, so a release that changes none of these keeps
 /// its users' folders.
-pub const FORMAT_VERSION: u32 = 6;
+pub const FORMAT_VERSION: u32 = 7;
 
 const EXTENSION: &str = "bake";
 const NOTE_EXTENSION: &str = "note";

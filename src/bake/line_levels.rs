@@ -18,8 +18,8 @@ use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::pack::{
-    ALWAYS, LINE_WORDS, Layout, LineVertex, NodeRange, PackError, PackedLines, Piece, Values,
-    pack_levels, unpack_lines,
+    ALWAYS, Layout, LineVertex, NodeRange, PackError, PackedLines, Piece, Values, pack_levels,
+    unpack_lines,
 };
 use crate::scene::color::{srgb_from_linear, to_linear};
 
@@ -207,7 +207,7 @@ fn between(a: &Vertex, b: &Vertex, (part, parts): (i32, i32), fields: &Layout) -
     packed.words[..3].copy_from_slice(&words);
     if share > 0.5 {
         // Directions of ribbons are those of the nearer end.
-        packed.words[5..LINE_WORDS].copy_from_slice(&b.packed.words[5..LINE_WORDS]);
+        packed.directions = b.packed.directions;
     }
     packed.values = fields.between([a.packed.values, b.packed.values], share);
     let mix = |a: f32, b: f32| a + (b - a) * share;

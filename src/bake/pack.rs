@@ -29,8 +29,8 @@ pub use kind::{
 };
 pub(super) use kind::{holds, read_words};
 pub use lines::{
-    BEGINS, ENDS, LINE_WORDS, LineEnd, LineVertex, PackedLines, Piece, pack_levels, pack_lines,
-    unpack_lines,
+    BEGINS, DIRECTION_WORDS, ENDS, LINE_WORDS, LineEnd, LineVertex, PackedLines, Piece,
+    pack_levels, pack_lines, unpack_lines,
 };
 pub(super) use pieces::Packing;
 pub use samples::{

@@ -1,4 +1,5 @@
-//! Pipelines, built once for each variant of a pass: ahead of time by [`super::prime`], else when a frame first needs them.
+//! Pipelines, built once for each variant of a pass: ahead of time by [`super::prime`], else when a frame first needs them. Variants
+//! that differ by constants alone share a parsed shader.
 //!
 //! Frames and the thread that primes share the pipelines. Both may ask for a variant at once: the first builds it and the
 //! other waits for it, so that no variant is built twice.
@@ -14,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use super::shaders::{self, Choices};
 use super::spread;
 use crate::gpu::Gpu;
-use crate::gpu::pipeline::{ComputePipeline, RasterPipeline};
+use crate::gpu::pipeline::{ComputePipeline, RasterPipeline, Shader};
 use crate::gpu::shader::ShaderError;
 use crate::plan::{Kind, Pass};
 
@@ -49,9 +50,13 @@ struct Slot<P> {
     used: AtomicBool,
 }
 
+/// Parsed shaders, by root and choices.
+type Shaders = HashMap<(&'static str, Choices), Arc<OnceLock<Result<Arc<Shader>, ShaderError>>>>;
+
 /// Every pipeline built so far, and which of them frames have used.
 #[derive(Default)]
 pub struct Pipelines {
+    shaders: Mutex<Shaders>,
     compute: Slots<ComputePipeline>,
     raster: Slots<RasterPipeline>,
     /// In the order of their first use.
@@ -104,19 +109,46 @@ impl Variant {
     pub fn name(&self) -> &'static str {
         self.root.rsplit('/').next().unwrap_or(self.root)
     }
-
-    fn build_compute(&self, gpu: &Gpu) -> Result<Arc<ComputePipeline>, ShaderError> {
-        let composed = shaders::composed(self.root, &self.choices)?;
-        ComputePipeline::new(gpu, self.name(), &composed, &self.values()).map(Arc::new)
-    }
-
-    fn build_raster(&self, gpu: &Gpu) -> Result<Arc<RasterPipeline>, ShaderError> {
-        let composed = shaders::composed(self.root, &self.choices)?;
-        RasterPipeline::new(gpu, self.name(), &composed, &self.values()).map(Arc::new)
-    }
 }
 
 impl Pipelines {
+    /// The shader of a variant, parsed once.
+    fn shader(&self, gpu: &Gpu, variant: &Variant) -> Result<Arc<Shader>, ShaderError> {
+        let slot = self.shaders.lock().entry((variant.root, variant.choices)).or_default().clone();
+        let parse = || {
+            let composed = shaders::composed(variant.root, &variant.choices)?;
+            let stages = if variant.is_raster() {
+                wgpu::ShaderStages::VERTEX_FRAGMENT
+            } else {
+                wgpu::ShaderStages::COMPUTE
+            };
+            Shader::new(gpu, variant.name(), &composed, stages).map(Arc::new)
+        };
+        slot.get_or_init(parse).clone()
+    }
+
+    fn forget_shader(&self, variant: &Variant) {
+        self.shaders.lock().remove(&(variant.root, variant.choices));
+    }
+
+    fn build_compute(
+        &self,
+        gpu: &Gpu,
+        variant: &Variant,
+    ) -> Result<Arc<ComputePipeline>, ShaderError> {
+        let shader = self.shader(gpu, variant)?;
+        Ok(Arc::new(ComputePipeline::new(gpu, &shader, &variant.values())))
+    }
+
+    fn build_raster(
+        &self,
+        gpu: &Gpu,
+        variant: &Variant,
+    ) -> Result<Arc<RasterPipeline>, ShaderError> {
+        let shader = self.shader(gpu, variant)?;
+        Ok(Arc::new(RasterPipeline::new(gpu, &shader, &variant.values())))
+    }
+
     /// Returns the pipeline of a compute pass.
     ///
     /// # Errors
@@ -131,7 +163,7 @@ impl Pipelines {
         let variant = Variant::new(pass, choices, constants);
         let slot = self.compute.slot(&variant);
         self.note(&slot, &variant);
-        slot.built.get_or_init(|| variant.build_compute(gpu)).clone()
+        slot.built.get_or_init(|| self.build_compute(gpu, &variant)).clone()
     }
 
     /// Returns the pipeline of a pass through the rasteriser.
@@ -148,7 +180,7 @@ impl Pipelines {
         let variant = Variant::new(pass, choices, constants);
         let slot = self.raster.slot(&variant);
         self.note(&slot, &variant);
-        slot.built.get_or_init(|| variant.build_raster(gpu)).clone()
+        slot.built.get_or_init(|| self.build_raster(gpu, &variant)).clone()
     }
 
     /// Builds a variant ahead of time, with `check` around the building. Gives the pipeline where it is a compute pass and was
@@ -164,17 +196,24 @@ impl Pipelines {
     ) -> Result<Option<Arc<ComputePipeline>>, ShaderError> {
         if variant.is_raster() {
             let slot = self.raster.slot(variant);
-            let build = || variant.build_raster(gpu).and_then(|built| check().map(|()| built));
+            let build =
+                || self.build_raster(gpu, variant).and_then(|built| check().map(|()| built));
             let built = slot.built.get_or_init(build).clone();
-            return built.map(|_| None).inspect_err(|_| self.raster.forget(variant));
+            return built.map(|_| None).inspect_err(|_| {
+                self.raster.forget(variant);
+                self.forget_shader(variant);
+            });
         }
         let slot = self.compute.slot(variant);
         let mut is_new = false;
         let built = slot.built.get_or_init(|| {
             is_new = true;
-            variant.build_compute(gpu).and_then(|built| check().map(|()| built))
+            self.build_compute(gpu, variant).and_then(|built| check().map(|()| built))
         });
-        let built = built.clone().inspect_err(|_| self.compute.forget(variant))?;
+        let built = built.clone().inspect_err(|_| {
+            self.compute.forget(variant);
+            self.forget_shader(variant);
+        })?;
         Ok(is_new.then_some(built))
     }
 

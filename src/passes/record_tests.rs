@@ -3,7 +3,9 @@
 use naga::{Expression, Handle, Literal, Module};
 
 use crate::bake::environment::{BALL, LEAST_ROUGHNESS, MIRRORED, SCATTERED};
-use crate::bake::pack::{BEGINS, CHUNK, ENDS, GeometryKind, LINE_WORDS, NO_NORMAL, VERTEX_WORDS};
+use crate::bake::pack::{
+    BEGINS, CHUNK, DIRECTION_WORDS, ENDS, GeometryKind, LINE_WORDS, NO_NORMAL, VERTEX_WORDS,
+};
 use crate::gpu::shader::parse;
 use crate::math::MOST_EXPOSURES;
 use crate::passes::frame::output_number;
@@ -170,7 +172,8 @@ fn packing_is_read_as_it_is_written() {
     assert_eq!(scalar(&triangles, "VERTEX_WORDS") as usize, VERTEX_WORDS);
     assert_eq!(scalar(&triangles, "NO_NORMAL"), NO_NORMAL);
     let lines = module("resolve/resolve_lines");
-    assert_eq!(scalar(&lines, "LINE_WORDS") as usize, LINE_WORDS);
+    assert_eq!(scalar(&lines, "TUBE_WORDS") as usize, LINE_WORDS);
+    assert_eq!(scalar(&lines, "RIBBON_WORDS") as usize, LINE_WORDS + DIRECTION_WORDS);
     assert_eq!([scalar(&lines, "LINE_BEGINS"), scalar(&lines, "LINE_ENDS")], [BEGINS, ENDS]);
     // A word of the visibility buffer names a slot and one of its chunk's elements.
     assert_eq!(1 << scalar(&triangles, "SLOT_SHIFT"), CHUNK);

@@ -204,7 +204,7 @@ macro_rules! settings {
                     $( $name: given.$name.map(<$used>::from).unwrap_or_default(), )+
                     ..Settings::default()
                 };
-                settings.with_pinned([$(given.$name.is_some()),+])
+                settings.with_pinned([$(given.$name.is_some()),+]).with_lod_of_error(&given)
             }
         }
     };
@@ -244,7 +244,8 @@ settings! {
     lod: Lod => Lod {
         label: "Detail", kind: SettingKind::own::<Lod>(), needs: [], useful_with: [], trades: Trade::main()
     }
-    /// Largest accepted error of `lod=spt`, in pixels. It bounds the level of detail, and is no goal for which the planner chooses settings.
+    /// Largest accepted error of the level of detail, in pixels. Without `lod` and without a goal, it asks for `lod=spt`: full detail or point
+    /// trees, whichever takes less time.
     max_error_px: f64 => MaxError {
         label: "Error", kind: MaxError::kind(), needs: [TREES], useful_with: [], trades: Trade::main_at(&[0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
     }

@@ -47,7 +47,7 @@ fn refusals_of_frames() {
         ("reconstruct=splats&shading=flat", "bad-parameter", "shading"),
         ("reconstruct=splats&shading=splat&shading=splat", "bad-parameter", "shading"),
         ("deadline_ms=-1", "bad-parameter", "deadline_ms"),
-        ("max_error_px=1", "bad-parameter", "max_error_px"),
+        ("lod=full&max_error_px=1", "bad-parameter", "max_error_px"),
         ("lod=spt&max_error_px=99", "bad-parameter", "max_error_px"),
         ("color_by=levels", "bad-parameter", "color_by"),
         ("color_by=intensity", "bad-parameter", "color_by"),

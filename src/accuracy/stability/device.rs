@@ -10,7 +10,7 @@ use super::StabilityError;
 use super::cases::{Disk, Lens};
 use super::truth::DIRECTIONS;
 use crate::gpu::buffer::Buffer;
-use crate::gpu::pipeline::{BindingSlot, ComputePipeline};
+use crate::gpu::pipeline::{BindingSlot, ComputePipeline, Shader};
 use crate::gpu::readback::Ring;
 use crate::gpu::{Gpu, GpuOptions};
 use crate::passes::shaders::{Choices, composed};
@@ -192,7 +192,8 @@ impl Device {
     /// There is no adapter, or a shader does not compile, which is a defect of the program.
     pub fn open() -> Result<Device, StabilityError> {
         let gpu = Gpu::open(&GpuOptions::default())?;
-        let shader = composed("measure/measure_splats", &Choices::default())?;
+        let composed = composed("measure/measure_splats", &Choices::default())?;
+        let shader = Shader::new(&gpu, ENTRY, &composed, wgpu::ShaderStages::COMPUTE)?;
         let pipeline = |filter: u32| {
             let constants = [
                 ("FILTER", f64::from(filter)),
@@ -200,9 +201,9 @@ impl Device {
                 ("GENERAL", 1.0),
                 ("WEIGHTED", 1.0),
             ];
-            ComputePipeline::new(&gpu, ENTRY, &shader, &constants)
+            ComputePipeline::new(&gpu, &shader, &constants)
         };
-        let (perspective, exact) = (pipeline(1)?, pipeline(2)?);
+        let (perspective, exact) = (pipeline(1), pipeline(2));
         Ok(Device { perspective, exact, gpu })
     }
 

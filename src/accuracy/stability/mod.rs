@@ -221,7 +221,6 @@ fn edge_error_px(pixel: i32, truth_px: f64, own: f64, is_low: bool) -> f64 {
         false => (pixel + 1.0, truth_px.clamp(0.0, last + 1.0)),
     };
     // The true edge lies within half a pixel of `edge`. At the own pixel, only a box that is too small is an error.
-    // it.
     let outside = if is_low { edge - truth_px } else { truth_px - edge };
     match pixel == own {
         true => outside - 0.5,

@@ -3,7 +3,7 @@ use glam::{DVec3, IVec3};
 use super::*;
 use crate::assets::fields::Scale;
 use crate::assets::{Field, Fields, Polylines};
-use crate::bake::pack::{PackedChunk, PackedKind, pack_lines};
+use crate::bake::pack::{LINE_WORDS, PackedChunk, PackedKind, pack_lines};
 use crate::scene::random::SplitMix64;
 
 /// Strands of `count` vertices each, by the place of a strand's vertex.

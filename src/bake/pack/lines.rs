@@ -16,8 +16,10 @@ use crate::math::Bounds;
 pub(super) use self::write::packing_bytes;
 pub use self::write::{pack_levels, pack_lines};
 
-/// Words of a vertex: grid position, colour, radius in cells, normal of a ribbon, and the direction of its width.
-pub const LINE_WORDS: usize = 7;
+/// Words of a vertex: grid position, colour, radius in cells.
+pub const LINE_WORDS: usize = 5;
+/// Words of a ribbon's vertex besides: its normal, and the direction of its width.
+pub const DIRECTION_WORDS: usize = 2;
 
 /// Bits of a segment's first word, above two indices of 10 bits: it begins or ends its strand.
 pub const BEGINS: u32 = 1 << 20;
@@ -36,6 +38,8 @@ pub struct PackedLines {
     pub grid: Grid,
     pub chunks: Vec<PackedChunk>,
     pub vertices: Vec<[u32; LINE_WORDS]>,
+    /// One for each vertex of ribbons; empty for tubes.
+    pub directions: Vec<[u32; DIRECTION_WORDS]>,
     /// Two 10-bit indices into the chunk's vertices with [`BEGINS`], [`ENDS`] and a hash; the number of the first vertex in the file.
     pub segments: Vec<[u32; 2]>,
     /// The first vertex of each strand in the file, and behind them the number of vertices; not on the GPU.
@@ -62,6 +66,8 @@ pub struct Piece<V> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LineVertex {
     pub words: [u32; LINE_WORDS],
+    /// [`NO_NORMAL`] twice for tubes.
+    pub directions: [u32; DIRECTION_WORDS],
     pub number: u32,
     pub values: Values,
 }
@@ -81,7 +87,12 @@ impl LineVertex {
 pub fn unpack_lines(lines: &PackedLines) -> Vec<Piece<LineVertex>> {
     let count = lines.strands.last().map_or(0, |&count| count as usize);
     let mut found: Vec<LineVertex> = (0..count as u32)
-        .map(|number| LineVertex { words: [0; LINE_WORDS], number, values: Values::default() })
+        .map(|number| LineVertex {
+            words: [0; LINE_WORDS],
+            directions: [NO_NORMAL; DIRECTION_WORDS],
+            number,
+            values: Values::default(),
+        })
         .collect();
     for chunk in &lines.chunks {
         let vertices = &lines.vertices[chunk.vertices()];
@@ -89,8 +100,10 @@ pub fn unpack_lines(lines: &PackedLines) -> Vec<Piece<LineVertex>> {
             for (shift, number) in [(0, *first), (10, first + 1)] {
                 if let Some(at) = found.get_mut(number as usize) {
                     let local = link >> shift & 0x3ff;
+                    let vertex = (chunk.vertex_first + local) as usize;
                     at.words = vertices[local as usize];
-                    let own = lines.values_of((chunk.vertex_first + local) as usize);
+                    at.directions = lines.directions_of(vertex);
+                    let own = lines.values_of(vertex);
                     at.values.iter_mut().zip(own).for_each(|(value, word)| *value = *word);
                 }
             }
@@ -135,12 +148,13 @@ impl PackedLines {
     pub fn ends(&self, chunk: &PackedChunk, segment: usize) -> Option<[LineEnd; 2]> {
         let end = |vertex: usize| {
             let words = self.vertices.get(vertex)?;
+            let [normal, side] = self.directions_of(vertex);
             Some(LineEnd {
                 position: self.grid.position(cell_of(words)),
                 radius: f64::from(f32::from_bits(words[4])) * self.grid.step,
                 color: words[3],
-                normal: words[5],
-                side: words[6],
+                normal,
+                side,
             })
         };
         let [a, b] = self.vertices_of(chunk, segment)?;
@@ -151,6 +165,15 @@ impl PackedLines {
     fn vertices_of(&self, chunk: &PackedChunk, segment: usize) -> Option<[usize; 2]> {
         let [link, _] = *self.segments.get(segment)?;
         Some([0, 10].map(|shift| (chunk.vertex_first + (link >> shift & 0x3ff)) as usize))
+    }
+
+    fn are_ribbons(&self) -> bool {
+        !self.directions.is_empty()
+    }
+
+    /// [`NO_NORMAL`] for the vertices of tubes.
+    fn directions_of(&self, vertex: usize) -> [u32; DIRECTION_WORDS] {
+        self.directions.get(vertex).copied().unwrap_or([NO_NORMAL; DIRECTION_WORDS])
     }
 
     /// The codes of a vertex's fields.
@@ -220,9 +243,19 @@ impl PackedKind for PackedLines {
     }
 
     fn arrays(&self) -> Vec<&[u32]> {
-        let PackedLines { grid: _, chunks: _, vertices, segments, strands, fields, values } = self;
+        let PackedLines {
+            grid: _,
+            chunks: _,
+            vertices,
+            directions,
+            segments,
+            strands,
+            fields,
+            values,
+        } = self;
         vec![
             vertices.as_flattened(),
+            directions.as_flattened(),
             segments.as_flattened(),
             strands,
             bytemuck::cast_slice(fields),
@@ -231,7 +264,7 @@ impl PackedKind for PackedLines {
     }
 
     fn widths() -> &'static [usize] {
-        &[LINE_WORDS, 2, 1, FIELD_WORDS, 1]
+        &[LINE_WORDS, DIRECTION_WORDS, 2, 1, FIELD_WORDS, 1]
     }
 
     fn read(grid: Grid, chunks: Vec<PackedChunk>, arrays: &mut Arrays<'_>) -> io::Result<Self> {
@@ -239,6 +272,7 @@ impl PackedKind for PackedLines {
             grid,
             chunks,
             vertices: arrays.rows()?,
+            directions: arrays.rows()?,
             segments: arrays.rows()?,
             strands: arrays.words()?,
             fields: bytemuck::cast_slice(&arrays.rows::<FIELD_WORDS>()?).to_vec(),
@@ -263,6 +297,10 @@ impl PackedKind for PackedLines {
         }
         holds(vertices == self.vertices.len() as u64, "chunks do not have all vertices")?;
         holds(u32::try_from(vertices).is_ok(), "there are too many vertices")?;
+        holds(
+            !self.are_ribbons() || self.directions.len() == self.vertices.len(),
+            "not all vertices of ribbons have directions",
+        )?;
         check_fields(&self.fields, self.vertices.len(), self.values.len())?;
         let is_radius = |words: &[u32; LINE_WORDS]| {
             let radius = f32::from_bits(words[4]);
@@ -277,20 +315,19 @@ impl PackedKind for PackedLines {
     }
 
     fn page(&self, chunk: &PackedChunk) -> PageKind {
-        // The lines of a geometry are all ribbons or all tubes.
-        let first = self.vertices[chunk.vertices()].first();
         PageKind {
             translucent: chunk.translucent,
-            ribbons: first.is_some_and(|words| words[5] != NO_NORMAL),
+            ribbons: self.are_ribbons(),
             value_words: value_words(&self.fields) as u8,
             ..PageKind::plain(GeometryKind::Lines)
         }
     }
 
     fn streams(page: PageKind) -> Vec<Stream> {
+        let of_vertex = LINE_WORDS + if page.ribbons { DIRECTION_WORDS } else { 0 };
         let mut streams = vec![
             Stream { name: "line_segments", words: 2, of: StreamOf::Elements },
-            Stream { name: "line_vertices", words: LINE_WORDS, of: StreamOf::Vertices },
+            Stream { name: "line_vertices", words: of_vertex, of: StreamOf::Vertices },
         ];
         let words = usize::from(page.value_words);
         let values = Stream { name: "values", words, of: StreamOf::Vertices };
@@ -303,6 +340,13 @@ impl PackedKind for PackedLines {
         match name {
             "values" => self.values[words * range.start..words * range.end].into(),
             "line_segments" => self.segments[range].as_flattened().into(),
+            _ if page.ribbons => {
+                let vertices = self.vertices[range.clone()].iter().zip(&self.directions[range]);
+                vertices
+                    .flat_map(|(words, directions)| words.iter().chain(directions))
+                    .copied()
+                    .collect()
+            }
             _ => self.vertices[range].as_flattened().into(),
         }
     }

@@ -442,8 +442,11 @@ fn a_goal_is_stored_without_what_is_left_open() {
     assert!(names.iter().all(|name| name != "lod" && name != "reconstruct"), "{names:?}");
     assert_eq!(stored.max_error_px, Some(2.0));
     assert_eq!(Settings::from(stored), asked);
-    // Without a goal, the error needs its level of detail.
-    assert!(given(&[("max_error_px", "2")]).resolve().is_err());
+    // Without a goal, the error decides the level of detail. Full detail has none.
+    let trees = given(&[("max_error_px", "2"), ("lod", "spt"), ("edl", "off")]).resolve().unwrap();
+    assert_eq!(asked.without_goal(), trees);
+    assert_eq!(given(&[("max_error_px", "2"), ("edl", "off")]).resolve().unwrap(), trees);
+    assert!(given(&[("max_error_px", "2"), ("lod", "full")]).resolve().is_err());
 }
 
 #[test]

@@ -27,7 +27,8 @@ impl Settings {
     #[must_use]
     pub fn without_goal(&self) -> Settings {
         let (budget_ms, min_psnr_db) = (Budget::default(), MinPsnr::default());
-        Settings { budget_ms, min_psnr_db, pinned: Pinned::default(), ..*self }
+        let pinned = Pinned::default();
+        Settings { budget_ms, min_psnr_db, pinned, ..self.with_lod_without_goal() }
     }
 
     /// The settings with one value in place of any other of the goal, the clip boxes, and the numbers of the look that sliders change from frame to

@@ -146,12 +146,17 @@ fn what_does_not_go_together_is_refused() {
                 .to_owned()
         )
     );
-    assert_eq!(refused("max_error_px=2").1, "no value, or a value together with `lod=spt`");
+    assert_eq!(
+        refused("lod=full&max_error_px=2").1,
+        "no value, or a value together with `lod=spt`"
+    );
     assert_eq!(refused("lod=spt&max_error_px=65").1, "0.05 to 64 pixels");
     // A setting that changes nothing is no fault.
     for harmless in ["error_mode=unified", "color_by=colors", "lod=full&reconstruct=auto"] {
         assert_eq!(given(harmless).resolve().unwrap(), Settings::default());
     }
+    // An error alone is that of point trees.
+    assert_eq!(given("max_error_px=2").resolve(), given("lod=spt&max_error_px=2").resolve());
     let upside_down = given("color_by=height&color_least=5&color_most=5").resolve().unwrap_err();
     assert_eq!(upside_down.to_string(), "color_most: 5 is not above color_least, 5");
     assert_eq!(upside_down.accepted(|_, _| String::new()), "a value above 5");

@@ -159,6 +159,19 @@ impl Settings {
         }
     }
 
+    /// The settings with the level of detail that an accepted error asks for where no other is given. A goal leaves it open.
+    pub(super) fn with_lod_of_error(self, given: &Given) -> Settings {
+        let is_alone = given.lod.is_none() && given.max_error_px.is_some();
+        if is_alone && self.goal().is_none() { Settings { lod: Lod::Spt, ..self } } else { self }
+    }
+
+    /// The settings with the level of detail that they would have without their goal.
+    pub(super) fn with_lod_without_goal(&self) -> Settings {
+        let open = self.open();
+        let is_alone = open.contains(&"lod") && !open.contains(&"max_error_px");
+        if is_alone { Settings { lod: Lod::Spt, ..*self } } else { *self }
+    }
+
     /// Accepted error of `lod=spt` in pixels.
     pub fn accepted_px(&self) -> f32 {
         self.max_error_px.px()

@@ -338,7 +338,7 @@ fn what_cannot_be_drawn_is_no_job() {
         (json!({"fps": 1e9}), 422, "bad-parameter", "fps"),
         (json!({"w": 9000}), 422, "over-limit", "w"),
         (json!({"format": "pfm"}), 422, "bad-parameter", "format"),
-        (json!({"max_error_px": 2}), 422, "bad-parameter", "max_error_px"),
+        (json!({"lod": "full", "max_error_px": 2}), 422, "bad-parameter", "max_error_px"),
         (json!({"camera": "front"}), 422, "bad-parameter", "camera"),
         (json!({"wnat": ["video"]}), 422, "unknown-parameter", "wnat"),
         (json!({"want": ["video"], "bitrate_kbps": 1}), 422, "bad-parameter", "bitrate_kbps"),

@@ -8,7 +8,7 @@ use super::super::{
     ALWAYS, CHUNK, Grid, KERNEL_DETAIL, NO_NORMAL, NodeRange, PackError, PackedChunk, PackedField,
     Sides, finite, morton, octahedral, rgba_word,
 };
-use super::{BEGINS, ENDS, HASH_SHIFT, LINE_WORDS, LineVertex, PackedLines, Piece, cell_of};
+use super::{BEGINS, ENDS, HASH_SHIFT, LineVertex, PackedLines, Piece, cell_of};
 use crate::assets::Polylines;
 use crate::math::Bounds;
 
@@ -25,37 +25,42 @@ pub fn pack_lines(lines: &Polylines) -> Result<PackedLines, PackError> {
     }
     let bounds = Bounds::of_all(&lines.positions);
     let grid = Grid::with_detail(&bounds, widest * KERNEL_DETAIL)?;
-    let cells: Vec<IVec3> = lines.positions.par_iter().map(|&p| grid.quantise(p)).collect();
-    let middle = |vertex: u32| {
-        let (a, b) = (cells[vertex as usize], cells[vertex as usize + 1]);
-        // Cells use 30 bits.
-        morton((a + b) / 2)
-    };
+    let cell = |vertex: usize| grid.quantise(lines.positions[vertex]);
     let mut order: Vec<Ordered> = Vec::with_capacity(lines.positions.len());
     for (strand, ends) in lines.strands.windows(2).enumerate() {
-        order.extend((ends[0]..ends[1].saturating_sub(1)).map(|v| (0, v, strand as u32)));
+        let segments = ends[0]..ends[1].saturating_sub(1);
+        order.extend(segments.clone().map(|vertex| {
+            let (begins, ends) = (vertex == segments.start, vertex + 1 == segments.end);
+            (0, vertex, strand_word(strand as u32, 0, begins, ends))
+        }));
     }
-    order.par_iter_mut().for_each(|segment| segment.0 = middle(segment.1));
-    order.par_sort_unstable();
+    order.par_iter_mut().for_each(|(code, vertex, _)| {
+        let vertex = *vertex as usize;
+        // Cells use 30 bits.
+        *code = morton((cell(vertex) + cell(vertex + 1)) / 2);
+    });
     let sides = lines.normals.as_ref().map(|normals| sides(lines, normals));
-    let words = |v: usize| {
-        let cell = cells[v];
+    let vertex = |v: usize| {
+        let cell = cell(v);
         let color = lines.colors.as_ref().map_or(u32::MAX, |colors| rgba_word(colors[v]));
         let radius = lines.radii.as_ref().map_or(0.0, |radii| f64::from(radii[v]));
-        let normal = lines.normals.as_ref().map_or(NO_NORMAL, |n| octahedral(n[v]));
-        let side = sides.as_ref().map_or(NO_NORMAL, |sides| octahedral(sides[v]));
         // Steps are powers of two: the quotient is exact.
         let radius = (radius / grid.step) as f32;
-        [cell.x as u32, cell.y as u32, cell.z as u32, color, radius.to_bits(), normal, side]
+        let normal = lines.normals.as_ref().map_or(NO_NORMAL, |n| octahedral(n[v]));
+        let side = sides.as_ref().map_or(NO_NORMAL, |sides| octahedral(sides[v]));
+        LineVertex {
+            words: [cell.x as u32, cell.y as u32, cell.z as u32, color, radius.to_bits()],
+            directions: [normal, side],
+            number: v as u32,
+            values: values_at(&lines.fields, v),
+        }
     };
-    let segment = |vertex: u32, strand: u32| {
-        let [first, end] = [strand, strand + 1].map(|at| lines.strands[at as usize]);
-        [strand_word(strand, 0, first == vertex, end == vertex + 2), vertex]
+    let mut packer = LinePacker {
+        are_ribbons: sides.is_some(),
+        ..LinePacker::new(grid, lines.strands.clone(), pack_fields(&lines.fields))
     };
-    let values = |v: usize| values_at(&lines.fields, v);
-    let mut packer = LinePacker::new(grid, lines.strands.clone(), pack_fields(&lines.fields));
     let always = NodeRange { error_parent: ALWAYS, size_parent: ALWAYS, ..NodeRange::default() };
-    packer.add(always, lines.positions.len(), &order, words, values, segment);
+    packer.add(always, lines.positions.len(), order, vertex);
     let mut packed = packer.finished();
     let vertices = &packed.vertices;
     for chunk in &mut packed.chunks {
@@ -113,12 +118,12 @@ fn sides(lines: &Polylines, normals: &[Vec3]) -> Vec<Vec3> {
     lines.strands.par_windows(2).flat_map_iter(of_strand).collect()
 }
 
-/// A segment in the order of packing: the Morton code of its middle, the first of its two vertices, and its strand (or its word, in levels of
-/// detail).
+/// A segment in the order of packing: the Morton code of its middle, the first of its two vertices, and its word (see [`strand_word`]).
 type Ordered = (u64, u32, u32);
 
 /// Cuts sorted segments into chunks with the vertices that they use.
 struct LinePacker {
+    are_ribbons: bool,
     out: PackedLines,
 }
 
@@ -128,44 +133,45 @@ impl LinePacker {
             grid,
             chunks: Vec::new(),
             vertices: Vec::new(),
+            directions: Vec::new(),
             segments: Vec::new(),
             strands,
             fields,
             values: Vec::new(),
         };
-        LinePacker { out }
+        LinePacker { are_ribbons: false, out }
     }
 
-    /// Adds sorted segments, in chunks of their own that have this range. The segments lead to `count` vertices, whose words are `words`
-    /// and whose codes of fields are `values`.
-    /// `segment` takes the last two values of an [`Ordered`]. It returns the word (see [`strand_word`]) and the first vertex's number in the file.
+    /// Adds segments in chunks of their own that have this range. The segments lead to `count` vertices.
     ///
     /// Where a chunk ends depends on all segments before: [`Self::cut`] takes one after the other. All else is done in parallel.
     fn add(
         &mut self,
         range: NodeRange,
         count: usize,
-        order: &[Ordered],
-        words: impl Fn(usize) -> [u32; LINE_WORDS] + Sync,
-        values: impl Fn(usize) -> Values + Sync,
-        segment: impl Fn(u32, u32) -> [u32; 2] + Sync,
+        mut order: Vec<Ordered>,
+        vertex: impl Fn(usize) -> LineVertex + Sync,
     ) {
+        order.par_sort_unstable();
         let first = self.out.segments.len();
-        let used = self.cut(range, count, order);
-        self.out.vertices.par_extend(used.par_iter().map(|&vertex| words(vertex as usize)));
-        let width = value_words(&self.out.fields);
-        let codes = |&vertex: &u32| values(vertex as usize).into_iter().take(width);
-        if width > 0 {
-            self.out.values.par_extend(used.par_iter().flat_map_iter(codes));
+        let used = self.cut(range, count, &order);
+        drop(order);
+        let used = used.par_iter().map(|&number| vertex(number as usize));
+        self.out.vertices.par_extend(used.clone().map(|vertex| vertex.words));
+        if self.are_ribbons {
+            self.out.directions.par_extend(used.clone().map(|vertex| vertex.directions));
         }
-        let stored = self.out.segments[first..].par_iter_mut();
-        stored.zip(order.par_iter()).for_each(|(stored, &(_, vertex, of_packer))| {
-            let [word, number] = segment(vertex, of_packer);
-            *stored = [stored[0] | word, number];
+        let width = value_words(&self.out.fields);
+        if width > 0 {
+            let values = used.flat_map_iter(|vertex| vertex.values.into_iter().take(width));
+            self.out.values.par_extend(values);
+        }
+        self.out.segments[first..].par_iter_mut().for_each(|[_, number]| {
+            *number = vertex(*number as usize).number;
         });
     }
 
-    /// Adds chunks, and segments that have their indices alone. Returns the vertices of the chunks, in their order.
+    /// Adds chunks, and segments whose second word is the place of their first vertex. Returns the vertices of the chunks, in their order.
     fn cut(&mut self, range: NodeRange, count: usize, order: &[Ordered]) -> Vec<u32> {
         let PackedLines { chunks, segments, vertices, .. } = &mut self.out;
         // For every vertex: the last chunk that took it, and its index there.
@@ -173,7 +179,7 @@ impl LinePacker {
         let mut used: Vec<u32> = Vec::with_capacity(count);
         segments.reserve(order.len());
         let mut is_open = false;
-        for &(_, vertex, _) in order {
+        for &(_, vertex, word) in order {
             let ends = [vertex as usize, vertex as usize + 1];
             let last = chunks.last().filter(|_| is_open);
             let fits = last.is_some_and(|chunk| {
@@ -200,7 +206,7 @@ impl LinePacker {
             }
             let number = chunks.len() - 1;
             let chunk = &mut chunks[number];
-            let mut link = 0u32;
+            let mut link = word;
             for (place, v) in ends.into_iter().enumerate() {
                 let (owner, local) = &mut stamp[v];
                 if *owner != number as u32 {
@@ -211,7 +217,7 @@ impl LinePacker {
                 link |= *local << (10 * place);
             }
             chunk.count += 1;
-            segments.push([link, 0]);
+            segments.push([link, vertex]);
         }
         used
     }
@@ -241,7 +247,10 @@ pub fn pack_levels(
     lines: &PackedLines,
     levels: &[(NodeRange, Vec<Piece<LineVertex>>)],
 ) -> Result<PackedLines, PackError> {
-    let mut packer = LinePacker::new(lines.grid, lines.strands.clone(), lines.fields.clone());
+    let mut packer = LinePacker {
+        are_ribbons: lines.are_ribbons(),
+        ..LinePacker::new(lines.grid, lines.strands.clone(), lines.fields.clone())
+    };
     for (range, pieces) in levels {
         let vertices: Vec<LineVertex> =
             pieces.iter().flat_map(|piece| piece.vertices.iter().copied()).collect();
@@ -262,11 +271,7 @@ pub fn pack_levels(
             }
             first = last + 1;
         }
-        order.par_sort_unstable();
-        let words = |v: usize| vertices[v].words;
-        let segment = |vertex: u32, word: u32| [word, vertices[vertex as usize].number];
-        let values = |v: usize| vertices[v].values;
-        packer.add(*range, vertices.len(), &order, words, values, segment);
+        packer.add(*range, vertices.len(), order, |v| vertices[v]);
         if u32::try_from(packer.out.vertices.len()).is_err() {
             return Err(PackError::TooMany);
         }
@@ -276,11 +281,10 @@ pub fn pack_levels(
 
 /// Bytes that packing lines needs.
 pub(in crate::bake::pack) fn packing_bytes(lines: &Polylines) -> u64 {
-    // Cells, stamps, sides, and packed vertices with their numbers, twice: chunks that share a vertex each store it. The order and packed segments.
-    (12 + 8 + 12 + 2 * (28 + 4)) * lines.positions.len() as u64
-        + (16 + 8) * lines.positions.len() as u64
-        + (if lines.fields.is_empty() { 0 } else { 2 * size_of::<Values>() as u64 })
-            * lines.positions.len() as u64
+    let sides = if lines.normals.is_some() { 12 + 2 * 8 } else { 0 };
+    let values = if lines.fields.is_empty() { 0 } else { 2 * size_of::<Values>() as u64 };
+    // The order and stamps, packed segments, and packed vertices with their numbers, twice: chunks that share a vertex each store it.
+    (16 + 8 + 8 + 2 * (20 + 4) + sides + values) * lines.positions.len() as u64
         + 4 * lines.strands.len() as u64
 }
 
