@@ -204,8 +204,18 @@ fn stability(found: &Found) -> Vec<Value> {
     let (all, each) = (classes.len(), found.stability["count"].as_u64().unwrap_or_default());
     let sum = |key: &str| scenes.iter().filter_map(|scene| scene[key].as_f64()).sum::<f64>();
     let views = sum("views");
+    let settings = scenes.iter().filter_map(|scene| scene["settings"].as_u64()).max().unwrap_or(0);
+    let refused: u64 = scenes
+        .iter()
+        .flat_map(|scene| scene["refused"].as_object().into_iter().flatten())
+        .filter_map(|(_, count)| count.as_u64())
+        .sum();
     let of_views = |what: &str, key: &str| {
-        let what = format!("{what}, of {} views of {} scenes", number(views), scenes.len());
+        let what = format!(
+            "{what}, of {} views of {} scenes with up to {settings} settings each, {refused} refused",
+            number(views),
+            scenes.len()
+        );
         judged(&what, (views > 0.0).then(|| sum(key)), Bound::AtMost(0.0), "views")
     };
     vec![
@@ -241,7 +251,7 @@ fn promises(found: &Found) -> Section {
     rows.push(promise("report: ", &took));
     let count = |word: &str| rows.iter().filter(|row| row[3] == word).count();
     section.text(format!(
-        "{} promises are met, {} are not, and {} were not measured.",
+        "Promises: {} met, {} not met, {} not measured.",
         count(verdict(Some(true))),
         count(verdict(Some(false))),
         count(verdict(None)),

@@ -11,6 +11,7 @@ use std::path::Path;
 
 use crate::assets::{Asset, AssetError, EnvironmentImage, ReadOptions};
 use crate::bake::assemble::{AssembleError, Assembler, Prepared};
+use crate::bake::environment::image_of;
 use crate::bake::prepare::{self, Outlook, PlacedGeometry};
 use crate::encode::FrameImage;
 use crate::math::{Bounds, Camera, View};
@@ -94,7 +95,7 @@ impl Reference {
             return Err(ReferenceError::OverLimit { what: "instances", found, limit });
         }
         let image = match &description.environment {
-            Some(environment) => Some(EnvironmentImage::read(&environment.path, &options)?),
+            Some(environment) => Some(image_of(environment, &options)?),
             None => None,
         };
         Ok(Reference { description, assets, placed, image })

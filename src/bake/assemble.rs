@@ -119,7 +119,8 @@ impl Assembler {
             AssetSource::Solid(solid) => (self.solid_asset(index, &solid)?, false),
         };
         let shape = if self.is_bare { Shape::of(&asset) } else { None };
-        let mut traits = AssetTraits { format: asset.format, ..AssetTraits::default() };
+        let has_metals = prepare::has_metals(&asset.materials);
+        let mut traits = AssetTraits { format: asset.format, has_metals, ..AssetTraits::default() };
         let mut lacking = Vec::new();
         for (number, geometry) in asset.geometries.iter_mut().enumerate() {
             // Features are found with the help of kernels.

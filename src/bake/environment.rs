@@ -12,9 +12,10 @@ use glam::{DMat3, DVec3, Vec2, Vec3};
 use half::f16;
 use rayon::prelude::*;
 
-use crate::assets::EnvironmentImage;
+use crate::assets::{AssetError, EnvironmentImage, ReadOptions};
+use crate::generate::studio::studio;
 use crate::memory::Reservation;
-use crate::scene::Environment;
+use crate::scene::{Environment, EnvironmentSource};
 
 /// Images for mirrors from [`LEAST_ROUGHNESS`] on; from one to the next, the square of the roughness doubles. As in `shared/environment_map`.
 pub const MIRRORED: usize = 10;
@@ -38,6 +39,20 @@ const CELL: f32 = 0.3;
 const BLOCK: usize = 8;
 /// The distance within which wide kernels change, in radians.
 const WIDE: f32 = 0.25;
+
+/// The image of a scene's surroundings.
+///
+/// # Errors
+/// Any error of [`EnvironmentImage::read`].
+pub fn image_of(
+    environment: &Environment,
+    options: &ReadOptions,
+) -> Result<EnvironmentImage, AssetError> {
+    match &environment.image {
+        EnvironmentSource::File(path) => EnvironmentImage::read(path, options),
+        EnvironmentSource::Studio => Ok(studio()),
+    }
+}
 
 /// Octahedral images of surroundings, by directions of the world.
 #[derive(Debug)]
@@ -394,8 +409,8 @@ mod tests {
     use super::*;
 
     fn environment() -> Environment {
-        let path = "sky.hdr".into();
-        Environment { path, strength: 1.0, image_from_world: DMat3::IDENTITY, shown: true }
+        let image = EnvironmentSource::File("sky.hdr".into());
+        Environment { image, strength: 1.0, image_from_world: DMat3::IDENTITY, shown: true }
     }
 
     /// A sky that is brighter above, with a sun of one texel.

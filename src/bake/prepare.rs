@@ -13,10 +13,10 @@ use glam::{DAffine3, DVec3};
 use super::estimate::lacks_estimates;
 use super::upright::{self, Guess, Shape};
 use super::{estimate_kernels, fill_colors, smooth_normals};
-use crate::assets::{Geometry, Placement};
+use crate::assets::{Geometry, Material, Placement};
 use crate::math::{Bounds, Sensor};
 use crate::memory::{Admission, Interrupt};
-use crate::scene::{self, Instance, Scene, SceneError, SceneLimits};
+use crate::scene::{self, Environment, Instance, Scene, SceneError, SceneLimits};
 
 /// Angle between faces, in degrees, above which a mesh without normals keeps its edge.
 const CREASE_DEG: f64 = 35.0;
@@ -26,6 +26,9 @@ const LIT: f64 = 0.5;
 const DARK: f64 = 0.085;
 /// Background of bare files that are mostly dark: `#c4cad0` in linear RGB.
 const LIGHT_BACKGROUND: [f32; 4] = [0.552, 0.591, 0.631, 1.0];
+/// Metallic share above which a material counts as a metal.
+const METAL: f32 = 0.25;
+
 /// The contents of an asset's file before preparation.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AssetTraits {
@@ -45,6 +48,16 @@ pub struct AssetTraits {
     pub has_lines: bool,
     /// Some part of a mesh has a material.
     pub has_materials: bool,
+    /// Some material is a metal.
+    pub has_metals: bool,
+}
+
+/// Whether some material is a metal, which shows nothing but what it reflects.
+pub fn has_metals(materials: &[Material]) -> bool {
+    let is_metal = |material: &Material| {
+        !material.unlit && material.physical.is_some_and(|own| own.metallic > METAL)
+    };
+    materials.iter().any(is_metal)
 }
 
 /// One drawn copy of one geometry. Its number is its index in the list from [`placed`].
@@ -226,8 +239,8 @@ pub struct Outlook<'a> {
     pub sensor: Option<Sensor>,
 }
 
-/// Adapts the description of a bare asset file: a scan's own colours and intensities are shown unlit; dark content has a
-/// light background; the first view is the sensor's, and up is the user's, the sensor's, or a guess.
+/// Adapts the description of a bare asset file: a scan's own colours and intensities are shown unlit; metals are lit by a studio, which they
+/// reflect; dark content has a light background; the first view is the sensor's, and up is the user's, the sensor's, or a guess.
 pub fn adapt_bare_asset(description: &mut Scene, assets: &[AssetTraits], outlook: &Outlook) {
     let scan = |asset: &AssetTraits| {
         let is_painted = asset.has_colors || asset.shows_intensity;
@@ -255,6 +268,10 @@ pub fn adapt_bare_asset(description: &mut Scene, assets: &[AssetTraits], outlook
     };
     if let Some(Sensor::Place(place)) = outlook.sensor {
         description.front = outside(&bounds, up, place);
+    }
+    if assets.iter().any(|asset| asset.has_metals) {
+        description.lights.clear();
+        description.environment = Some(Environment::studio(up));
     }
     description.up = up;
     description.up_because = because;
@@ -312,7 +329,7 @@ pub fn placed_instances<'a, P: Borrow<Vec<Placement>>>(
 mod tests {
     use super::*;
     use crate::assets::tidy::srgb_byte_from_linear;
-    use crate::assets::{Mesh, PointCloud};
+    use crate::assets::{Mesh, Physical, PointCloud};
     use crate::scene::Light;
 
     fn traits(format: &'static str) -> AssetTraits {
@@ -371,6 +388,24 @@ mod tests {
             .sum();
         let white = srgb_byte_from_linear(brightest);
         assert!((210..=230).contains(&white), "{white}");
+    }
+
+    #[test]
+    fn bare_files_with_metals_have_surroundings_to_reflect() {
+        let physical = |metallic| Material {
+            physical: Some(Physical { metallic, ..Physical::default() }),
+            ..Material::default()
+        };
+        assert!(!has_metals(&[Material::default(), physical(0.0)]));
+        assert!(!has_metals(&[Material { unlit: true, ..physical(1.0) }]));
+        assert!(has_metals(&[physical(0.0), physical(1.0)]));
+        let mut scene = Scene::from_asset("a", "a".into());
+        let metal = AssetTraits { has_triangles: true, has_metals: true, ..traits("glb") };
+        let outlook = Outlook { up: Some(DVec3::Z), ..Outlook::default() };
+        adapt_bare_asset(&mut scene, &[metal], &outlook);
+        assert!(scene.lights.is_empty());
+        let around = scene.environment.unwrap();
+        assert!((around.image_from_world * DVec3::Z).distance(DVec3::Y) < 1e-12 && !around.shown);
     }
 
     #[test]

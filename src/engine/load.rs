@@ -15,10 +15,10 @@ use super::uid::next_uid;
 use super::watch::{Abandoned, Watch};
 use super::{EngineConfig, EngineError, Source};
 use crate::assets::warnings::condensed;
-use crate::assets::{AssetError, EnvironmentImage, Geometry, NamedFiles, PointCloud, ReadOptions};
+use crate::assets::{AssetError, Geometry, NamedFiles, PointCloud, ReadOptions};
 use crate::bake::CUTOFF;
 use crate::bake::assemble::{Assembler, Prepared};
-use crate::bake::environment::EnvironmentMap;
+use crate::bake::environment::{EnvironmentMap, image_of};
 use crate::bake::estimate::{EstimateError, lacks_normals, pack_estimated};
 use crate::bake::pack::{
     PackedAsset, PackedGeometry, pack_lines, pack_mesh, pack_samples, pack_texture, packing_bytes,
@@ -28,7 +28,7 @@ use crate::math::Bounds;
 use crate::memory::{Admission, Reservation};
 use crate::residency::model::{AssetModel, Deferred};
 use crate::residency::once::MadeOnce;
-use crate::scene::{AssetRef, Environment, Scene};
+use crate::scene::{AssetRef, Environment, EnvironmentSource, Scene};
 
 /// Reads a scene file or a bare asset and packs all that it draws.
 pub fn load(
@@ -149,16 +149,24 @@ pub fn load(
     Ok(Loaded { unwritten, ..build(parts, config, None, admission)? })
 }
 
-/// Reads and blurs the surroundings of a scene, and hashes their file.
+/// Reads and blurs the surroundings of a scene, and hashes what decides them.
 fn surroundings(
     environment: &Environment,
     options: &ReadOptions,
     hasher: &mut Sha256,
 ) -> Result<EnvironmentMap, EngineError> {
-    let path = &environment.path;
-    let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    hasher.update(digest_file(path, &file, &options.admission).map_err(asset_error)?);
-    let image = EnvironmentImage::read(path, options).map_err(asset_error)?;
+    let file = match &environment.image {
+        EnvironmentSource::File(path) => {
+            let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            hasher.update(digest_file(path, &file, &options.admission).map_err(asset_error)?);
+            file
+        }
+        EnvironmentSource::Studio => {
+            hasher.update("studio");
+            "studio".to_owned()
+        }
+    };
+    let image = image_of(environment, options).map_err(asset_error)?;
     options.admission.grow(&file, EnvironmentMap::needed_bytes(&image))?;
     let mut map = EnvironmentMap::of(&image, environment);
     map.memory = options.admission.keep(map.bytes());

@@ -7,7 +7,7 @@ use sha2::{Digest, Sha256};
 
 use super::{Engine, Source};
 use crate::assets::NamedFiles;
-use crate::scene::{AssetSource, Scene};
+use crate::scene::{AssetSource, EnvironmentSource, Scene};
 
 /// The files that a scene was read from.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,7 +32,10 @@ impl SceneFiles {
             AssetSource::File(source) => Some(source.path.clone()),
             AssetSource::Solid(_) => None,
         });
-        let around = description.environment.iter().map(|environment| environment.path.clone());
+        let around = description.environment.iter().filter_map(|around| match &around.image {
+            EnvironmentSource::File(path) => Some(path.clone()),
+            EnvironmentSource::Studio => None,
+        });
         let mut files: Vec<PathBuf> =
             assets.chain(around).chain(named.list()).chain([path.clone()]).collect();
         files.sort();

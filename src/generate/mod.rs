@@ -15,7 +15,7 @@ pub mod part;
 pub mod plain;
 pub mod relief;
 pub mod scenes;
-mod studio;
+pub mod studio;
 #[cfg(test)]
 mod tests;
 pub mod textured;

@@ -40,6 +40,7 @@ fn light(right: f64, above: f64) -> [f64; 3] {
     sum
 }
 
+/// The studio, 128 × 64 pixels.
 pub fn studio() -> EnvironmentImage {
     let texel = |i: u32| {
         let turn = (f64::from(i % WIDTH) + 0.5) / f64::from(WIDTH);

@@ -99,9 +99,11 @@ impl Surroundings<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::EnvironmentSource;
 
     fn environment(strength: f64, image_from_world: DMat3) -> Environment {
-        Environment { path: "sky.hdr".into(), strength, image_from_world, shown: true }
+        let image = EnvironmentSource::File("sky.hdr".into());
+        Environment { image, strength, image_from_world, shown: true }
     }
 
     /// Light that is a linear function of the direction.

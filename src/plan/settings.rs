@@ -230,13 +230,13 @@ settings! {
     clip_node: Name => Option<Name> {
         label: "Boxes of node", kind: text::name("the scene", "the name of a top-level node", &["0", "1"]), needs: [CLIPPED], useful_with: []
     }
-    /// Longest GPU time of the frame, in milliseconds. The most exact settings that were measured to keep it are chosen, of those that trade
-    /// accuracy for time and are not given. The receipt says what was chosen, and why.
+    /// Longest GPU time of the frame, in milliseconds. The planner chooses the most exact level of detail, way to draw samples and antialiasing that were
+    /// measured to keep it. What the request gives stays. The receipt says what was chosen, and why.
     budget_ms: f64 => Budget {
         label: "Time budget", kind: Budget::kind(), needs: [], useful_with: [COLORS]
     }
-    /// Least peak signal-to-noise ratio of the frame against the reference, in decibels. The fastest settings that were measured to keep it are
-    /// chosen, of those that trade accuracy for time and are not given.
+    /// Least peak signal-to-noise ratio of the frame against the reference, in decibels. The planner chooses the fastest level of detail,
+    /// way to draw samples and antialiasing that were measured to keep it. What the request gives stays.
     min_psnr_db: f64 => MinPsnr {
         label: "Least PSNR", kind: MinPsnr::kind(), needs: [], useful_with: [COLORS]
     }
@@ -277,7 +277,8 @@ settings! {
     color_most: ColorBound => Option<ColorBound> {
         label: "Last colour at", kind: ColorBound::kind(), needs: [MAPPED], useful_with: [COLORS]
     }
-    /// Least width of lines, in pixels. With 0, thin lines have their true width: a pixel shows them with its probability. By default 1 in
+    /// Least width of lines, in pixels. With 0, lines keep their true width: a pixel shows a thinner line with a probability that
+    /// equals the line's width. By default 1 in
     /// scenes whose lines would cover little of the image, and 0 in others.
     line_width_px: f64 => LineWidth {
         label: "Line width", kind: LineWidth::kind(), needs: [], useful_with: [SEGMENTS]
@@ -315,8 +316,8 @@ settings! {
     shadows: Shadows => Shadows {
         label: "Shadows", kind: SettingKind::own::<Shadows>(), needs: [], useful_with: [COLORS, CASTING], trades: Trade::variant()
     }
-    /// Side in pixels of the square that a light's shadow maps take; the next smaller one where the maps of all lights would have more pixels than a
-    /// frame may have. Smaller pixels of a map give sharper edges.
+    /// Side in pixels of the square that a light's shadow maps take. If the maps of all lights would have more pixels than a frame may have, the next
+    /// smaller value is used. A larger value gives sharper edges.
     shadow_px: ShadowPx => ShadowPx {
         label: "Shadow map", kind: SettingKind::own::<ShadowPx>(), needs: [SHADOWS], useful_with: [COLORS, CASTING], trades: Trade::variant()
     }
@@ -379,8 +380,8 @@ settings! {
     shutter: f64 => Shutter {
         label: "Shutter", kind: Shutter::kind(), needs: [], useful_with: [COLORS]
     }
-    /// Number of exposures whose mean a frame with an aperture or an open shutter is. Each exposure has another point of the lens, another time and other
-    /// points of the pixels. Without an aperture or an open shutter, only the default is accepted.
+    /// Number of exposures that are averaged into a frame with an aperture or an open shutter. Each exposure has its own point on the lens, its own time
+    /// and its own points within the pixels. Without an aperture or an open shutter, only the default is accepted.
     blur_samples: BlurSamples => BlurSamples {
         label: "Exposures", kind: SettingKind::own::<BlurSamples>(), needs: [], useful_with: [COLORS, BLURRED]
     }

@@ -14,7 +14,7 @@ use crate::assets::Material;
 use crate::bake::environment::EnvironmentMap;
 use crate::bake::outline::Outline;
 use crate::bake::pack::{Counts, GeometryKind, Grid, PackError, PackedAsset, PackedGeometry};
-use crate::bake::prepare::AssetTraits;
+use crate::bake::prepare::{AssetTraits, has_metals};
 use crate::bake::tree::Above;
 use crate::math::{Bounds, Camera};
 use crate::memory::Reservation;
@@ -137,6 +137,7 @@ impl AssetModel {
             has_triangles: geometries.iter().any(|g| g.kind() == GeometryKind::Triangles),
             has_lines: geometries.iter().any(|g| g.kind() == GeometryKind::Lines),
             has_materials: chunks.any(|chunk| chunk.material != 0),
+            has_metals: has_metals(&self.packed.materials),
         }
     }
 

@@ -56,14 +56,43 @@ pub struct AmbientOcclusion {
 /// An image of a scene's surroundings, infinitely far away: its light falls on surfaces from all directions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Environment {
-    /// An equirectangular image; absolute, inside the scene root.
-    pub path: PathBuf,
+    pub image: EnvironmentSource,
     /// Factor of its light, above 0.
     pub strength: f64,
     /// Turns directions of the world to those of the image: `+y` is its upper edge, `-z` its centre, and `+x` lies right of the centre.
     pub image_from_world: DMat3,
     /// Pixels that nothing covers show it.
     pub shown: bool,
+}
+
+/// Where an image of surroundings comes from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum EnvironmentSource {
+    /// An equirectangular image; absolute, inside the scene root.
+    File(PathBuf),
+    /// A photographer's studio ([`crate::generate::studio`]).
+    Studio,
+}
+
+impl Environment {
+    /// The surroundings of a bare file with metals, which would have nothing to reflect without them.
+    pub fn studio(up: DVec3) -> Environment {
+        Environment {
+            image: EnvironmentSource::Studio,
+            strength: 1.0,
+            image_from_world: Environment::image_from_world(up, 0.0),
+            shown: false,
+        }
+    }
+
+    /// [`Environment::image_from_world`] of an image whose upper edge is up, and that is turned by an angle in degrees about that direction.
+    pub fn image_from_world(up: DVec3, turn_deg: f64) -> DMat3 {
+        // The shortest way from the image's up to the scene's, about x where they are opposite.
+        let axis = DVec3::Y.cross(up).try_normalize().unwrap_or(DVec3::X);
+        let upright = DMat3::from_axis_angle(axis, DVec3::Y.dot(up).clamp(-1.0, 1.0).acos());
+        let turn = DMat3::from_rotation_y(turn_deg.rem_euclid(360.0).to_radians());
+        (upright * turn).transpose()
+    }
 }
 
 words! {

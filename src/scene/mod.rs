@@ -34,7 +34,9 @@ mod wire;
 pub use assets::{
     AsLines, AssetRef, AssetSource, CsgOperation, FileSource, MeshSampling, Operand, Solid,
 };
-pub use effects::{AmbientOcclusion, Discs, Environment, EyeDome, Fog, FogLayer, Tone, ToneMap};
+pub use effects::{
+    AmbientOcclusion, Discs, Environment, EnvironmentSource, EyeDome, Fog, FogLayer, Tone, ToneMap,
+};
 pub use instance_path::{InstancePath, InstancePaths, PathStep};
 pub use load::{load, load_path, load_within, parse, parse_path};
 pub use path::{CameraPath, Ease, Interpolation, PathKey, PathSampler};

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use super::files::{Glb, Shape};
 use super::lines::vtk;
 use super::orthographic;
-use super::stage::{Case, Frames, look};
+use super::stage::{Case, Frames, folder, look};
 use super::verdict::Tolerance;
 
 /// A blue sky over a brown ground, with a warm lamp four times as bright as white.
@@ -161,6 +161,27 @@ fn splats_reflect_their_surroundings() {
     let frames = case.draw_with(&view, toned);
     let far = differences(&frames, &expected).iter().filter(|apart| **apart > 6).count();
     assert!(far * 500 < frames.color.len(), "toned: {far} pixels");
+}
+
+/// A file with metals, without a scene file. The studio is no background.
+#[test]
+fn metals_of_bare_files_reflect_a_studio() {
+    let mut glb = Glb::new();
+    let metal =
+        json!({ "metallicFactor": 1, "roughnessFactor": 0.2, "baseColorFactor": [1, 0.8, 0.5, 1] });
+    let metal = glb.material(json!({ "pbrMetallicRoughness": metal }));
+    let ball = glb.mesh(&Shape::ball(48, 1.0), Some(metal));
+    glb.node(ball, json!({}));
+    let path = folder().join("bare-metal.glb");
+    std::fs::write(&path, glb.finish()).unwrap();
+    let case = Case::load("bare-metal", &path);
+    let frames = case.check(&look([0.4, 0.8, 4.0], [0.0; 3], 36.0), &tolerance());
+    assert!(!frames.ran(Pass::EnvironmentBackground));
+    let background = frames.color[0];
+    let shown = frames.color.iter().filter(|color| **color != background);
+    let bright = shown.clone().filter(|color| color[0] > 230).count();
+    // The lamps of the studio, and its walls between them.
+    assert!(bright * 50 > shown.clone().count() && bright * 2 < shown.count(), "{bright}");
 }
 
 /// Without the image, light of its mean comes from everywhere.

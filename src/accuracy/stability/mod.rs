@@ -65,6 +65,8 @@ pub struct Row {
     pub class: String,
     /// Splats entirely in front of the camera plane, which are those with an outline.
     pub regular: u32,
+    /// Regular splats for which rounding leaves some error without a bound within ±2²⁰ px. That error is not judged.
+    pub unbounded: u32,
     pub ours_box: Judged,
     pub ours_centre: Judged,
     pub ours_outline: Judged,
@@ -293,6 +295,14 @@ impl Row {
     fn add_ours(&mut self, case: &Case, truth: &Truth, probe: &Probe, found: [&Found; 2]) {
         let [perspective, exact] = found;
         let bounds = truth.bounds();
+        let is_bounded = |bound_px: f64| bound_px < 2.0 * GUARD_PX;
+        let all = [bounds.box_px, bounds.centre_px, bounds.outline_px];
+        self.unbounded += u32::from(!all.into_iter().all(is_bounded));
+        let add = |judged: &mut Judged, error_px: f64, bound_px: f64| {
+            if is_bounded(bound_px) {
+                judged.add(error_px, bound_px);
+            }
+        };
         let far = |a: f64, b: f64| (hold(a) - hold(b)).abs();
         let largest = |a: DVec2, b: DVec2| far(a.x, b.x).max(far(a.y, b.y));
         let (own, [low, high]) = (perspective.centre_px.floor().as_dvec2(), truth.corners());
@@ -301,14 +311,14 @@ impl Row {
                 edge_error_px(perspective.low[axis], low[axis], own[axis], true),
                 edge_error_px(perspective.high[axis], high[axis], own[axis], false),
             ];
-            edges.into_iter().for_each(|error| self.ours_box.add(error, bounds.box_px));
+            edges.into_iter().for_each(|error| add(&mut self.ours_box, error, bounds.box_px));
         }
         let ellipse = perspective.ellipse(case.cutoff);
         let centre = ellipse.map_or(truth.centre(), |ellipse| ellipse.centre);
-        self.ours_centre.add(largest(centre, truth.centre()), bounds.centre_px);
+        add(&mut self.ours_centre, largest(centre, truth.centre()), bounds.centre_px);
         for d in (0..DIRECTIONS).map(direction) {
             let support = ellipse.map_or(f64::INFINITY, |ellipse| ellipse.support(d));
-            self.ours_outline.add(far(support, truth.support(d)), bounds.outline_px);
+            add(&mut self.ours_outline, far(support, truth.support(d)), bounds.outline_px);
         }
         for (number, &pixel) in probe.points_px().iter().enumerate() {
             // Images have pixels only within this range.

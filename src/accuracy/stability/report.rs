@@ -8,9 +8,10 @@ use comfy_table::{CellAlignment, Table, TableStyle, presets};
 use super::super::steady::SIZE;
 use super::{Compared, Row, Stability};
 
-const HEADER: [&str; 13] = [
+const HEADER: [&str; 14] = [
     "splats",
     "regular",
+    "unbounded",
     "ours",
     "bound",
     "of it",
@@ -31,7 +32,8 @@ const LEGEND: &str = "\
 Worst error of an outline in px: edges of its box, centre, and the outline itself in 16 directions, within ±2^20 px.
 ours: the shaders' perspective filter, run on the adapter; boxes are judged in whole pixels. exact: kernel coordinates of the shaders' exact
 filter at 16 points of the outline, carried back to the image; – where every disk is too thin for f32 pixel coordinates to tell.
-bound: the largest of the splats' bounds from rounding analysis; of it: the largest error over its own splat's bound.
+bound: the largest of the splats' bounds from rounding analysis; of it: the largest error over its own splat's bound. unbounded: splats with an error
+for which the analysis gives no bound within ±2^20 px; that error is not judged.
 difference: the dual conic with V as a difference of squares. naive: the dual conic formed as it stands.
 paper: Zwicker et al. 2004 by the inverse; in brackets what its condition number discards. × n: splats with NaN or ∞.
 ";
@@ -62,6 +64,7 @@ fn cells(row: &Row) -> [String; HEADER.len()] {
     [
         row.class.clone(),
         row.regular.to_string(),
+        row.unbounded.to_string(),
         px(ours.worst_px),
         px(ours.bound_px),
         format!("{:.2}", ours.worst_share),

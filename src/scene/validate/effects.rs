@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 
 use super::super::color::to_linear;
 use super::super::wire::{EnvironmentWire, FogWire, OcclusionWire};
-use super::super::{AmbientOcclusion, Environment, Fog, FogLayer};
+use super::super::{AmbientOcclusion, Environment, EnvironmentSource, Fog, FogLayer};
 use super::look::{color, rgb};
 use super::{LARGEST_COORDINATE, LARGEST_INTENSITY, Place, Valid, within};
 
@@ -34,14 +34,10 @@ pub(super) fn environment(
     let strength = wire.strength.unwrap_or(1.0);
     let strength = within(strength, SMALLEST_STRENGTH, LARGEST_INTENSITY, place.key("strength"))?;
     let turn = within(wire.turn.unwrap_or(0.0), -1e6, 1e6, place.key("turn"))?;
-    // The shortest way from the image's up to the scene's, about x where they are opposite.
-    let axis = DVec3::Y.cross(up).try_normalize().unwrap_or(DVec3::X);
-    let upright = DMat3::from_axis_angle(axis, DVec3::Y.dot(up).clamp(-1.0, 1.0).acos());
-    let world_from_image = upright * DMat3::from_rotation_y(turn.rem_euclid(360.0).to_radians());
     Ok(Environment {
-        path,
+        image: EnvironmentSource::File(path),
         strength,
-        image_from_world: world_from_image.transpose(),
+        image_from_world: Environment::image_from_world(up, turn),
         shown: wire.background.unwrap_or(true),
     })
 }
