@@ -3,6 +3,7 @@
 use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
+use pointillist::accuracy::metrics;
 use pointillist::oracle::{self, OracleScene};
 use pointillist::plan::{Effect, Pass, Reconstruct, Settings};
 use pointillist::scene::{Shading, Tone, ToneMap};
@@ -163,7 +164,7 @@ fn splats_reflect_their_surroundings() {
     assert!(far * 500 < frames.color.len(), "toned: {far} pixels");
 }
 
-/// A file with metals, without a scene file. The studio is no background.
+/// A file with metals, without a scene file. The studio is no background. Its lamps have sharp edges, so that the blurred images that shaders read are a little less exact.
 #[test]
 fn metals_of_bare_files_reflect_a_studio() {
     let mut glb = Glb::new();
@@ -175,8 +176,11 @@ fn metals_of_bare_files_reflect_a_studio() {
     let path = folder().join("bare-metal.glb");
     std::fs::write(&path, glb.finish()).unwrap();
     let case = Case::load("bare-metal", &path);
-    let frames = case.check(&look([0.4, 0.8, 4.0], [0.0; 3], 36.0), &tolerance());
+    let view = look([0.4, 0.8, 4.0], [0.0; 3], 36.0);
+    let frames = case.draw_with(&view, Settings::drawn_as(Reconstruct::Points));
     assert!(!frames.ran(Pass::EnvironmentBackground));
+    let expected = case.reference.frame(&view, 1).to_rgba8();
+    assert!(metrics::psnr(&expected, &frames.color).unwrap() > 41.0);
     let background = frames.color[0];
     let shown = frames.color.iter().filter(|color| **color != background);
     let bright = shown.clone().filter(|color| color[0] > 230).count();
