@@ -252,7 +252,7 @@ fn main() -> anyhow::Result<()> {
             "promised",
             "kept, %",
             "worst off",
-            "lost, median",
+            "lost (dB of a budget, times of a PSNR), median",
             "lost, 90 %",
             "promised, of goals that some setting keeps",
             "predicted/actual, 5–95 %",

@@ -221,7 +221,7 @@ fn stability(found: &Found) -> Vec<Value> {
     vec![
         judged(
             &format!(
-                "classes of hard splats in which all of {each} keep their error bounds, of {all}"
+                "classes of {each} hard splats in which all that can be judged keep their error bounds, of {all}"
             ),
             (all > 0).then_some(holding),
             Bound::AtLeast(all as f64),

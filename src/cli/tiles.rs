@@ -195,7 +195,8 @@ fn write_png(whole: &Whole, path: &Path, step: [u32; 2]) -> anyhow::Result<()> {
     header.finish()?;
     file.persist(path).with_context(unwritable)?;
     bar.finish_and_clear();
-    say!("{}: {width} × {height} pixels in {drawn} parts", path.display());
+    let parts = if drawn == 1 { "part" } else { "parts" };
+    say!("{}: {width} × {height} pixels in {drawn} {parts}", path.display());
     Ok(())
 }
 

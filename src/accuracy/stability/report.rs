@@ -29,6 +29,7 @@ const SCENES: [&str; 8] =
     ["scene", "views", "refused", "NaN", "changed", "allowed", "unsteady", "verdict"];
 
 const LEGEND: &str = "\
+regular: splats entirely in front of the camera plane, which alone have an outline to judge.
 Worst error of an outline in px: edges of its box, centre, and the outline itself in 16 directions, within ±2^20 px.
 ours: the shaders' perspective filter, run on the adapter; boxes are judged in whole pixels. exact: kernel coordinates of the shaders' exact
 filter at 16 points of the outline, carried back to the image; – where every disk is too thin for f32 pixel coordinates to tell.
