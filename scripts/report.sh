@@ -120,7 +120,7 @@ measure() { # PART
 limit_s() {
     case $1 in
     equal) echo 600 ;;
-    planner) echo 600 ;;
+    planner) echo 780 ;;
     audit) echo 480 ;;
     effects) echo 400 ;;
     town | plaza) echo 300 ;;

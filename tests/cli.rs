@@ -256,6 +256,7 @@ fn accuracy_says_what_it_cannot_measure() {
     ] {
         let told = shell.complaint(line);
         assert!(told.contains(expected) && !told.contains("panicked"), "{line:?}: {told}");
+        assert!(!shell.path("r").exists(), "{line:?} leaves a folder");
     }
 }
 
@@ -272,7 +273,10 @@ fn outputs_without_a_place_are_refused_before_the_scene_is_loaded() {
         (&["stereo", "broken.ply", "-o", "none/a.png"], "there is no folder none"),
         (&["tiles", "broken.ply", "-o", "none/a.png"], "there is no folder none"),
         (&["panorama", "broken.ply", "-o", "none/a.png"], "there is no folder none"),
-        (&["render", "broken.ply", "-o", "a.png", "--max-error-px", "2"], "with `--lod spt`"),
+        (
+            &["render", "broken.ply", "-o", "a.png", "--lod", "full", "--max-error-px", "2"],
+            "with `--lod spt`",
+        ),
         (&["panorama", "broken.ply", "-o", "a.png", "--width", "255"], "--width: 255 is odd"),
         (
             &["panorama", "broken.ply", "-o", "a.png", "--layout", "cube", "--width", "255"],

@@ -180,12 +180,13 @@ fn what_the_daemon_refuses_is_said_at_once() {
     );
     let url = format!("http://{}", daemon.address);
     // Without --scene the first scene is taken and named.
-    let said = complaint(&url, &["--max-error-px", "2"]);
+    let said = complaint(&url, &["--lod", "full", "--max-error-px", "2"]);
     assert!(said.contains("--scene ") && said.contains("the first of 2 that are ready"), "{said}");
     assert!(said.contains("422"), "{said}");
     let said = complaint(&url, &["--scene", "gird"]);
     assert!(said.contains("404"), "{said}");
-    let said = complaint(&url, &["--scene", "grid", "--max-error-px", "2"]);
+    let line = ["--scene", "grid", "--lod", "full", "--max-error-px", "2"];
+    let said = complaint(&url, &line);
     assert!(said.contains("422") && said.contains("max_error_px"), "{said}");
     let said = complaint(&url, &["--scene", "grid", "--poses", "cameras"]);
     assert!(said.contains("needs two"), "{said}");

@@ -441,7 +441,7 @@ fn what_is_wrong_is_named() {
         (&["--path", "fly", "-o", "f", "--keep-frames"], "need a video"),
         (&["--path", "fly", "-o", "f", "--format", "pfm"], "format: pfm cannot hold color"),
         (
-            &["--path", "fly", "-o", "f", "--max-error-px", "2"],
+            &["--path", "fly", "-o", "f", "--lod", "full", "--max-error-px", "2"],
             "--max-error-px: this setting applies to `lod=spt` only; accepted: no value, or a value together with `--lod spt`",
         ),
         (&["--path", "fly", "-o", "file"], "file: "),

@@ -256,13 +256,18 @@ fn promises(found: &Found) -> Section {
         count(verdict(Some(false))),
         count(verdict(None)),
     ));
+    rows.sort_by_key(|row| row[3] != verdict(Some(false)));
     section.table(
-        "What frames promise, and what was found",
+        "What frames promise, and what was found; what is not met comes first",
         &["promise", "found", "bound", ""],
         rows,
     );
     section.text(
         "Random views of the hard scenes are few here. A million of them takes hours: `pointillist accuracy --stability --scenes scenes/hard/*.json --views 72000`.",
+    );
+    section.text(
+        "Why some promises are not met: docs/level-of-detail.md (flicker, nodes, slowest frames), docs/planner.md (the planner's time), docs/effects.md (shadows and \
+         ambient occlusion), docs/large-images.md (tiles).",
     );
     // The others have sections of their own.
     for name in ["promises", "planner", "audit"] {

@@ -199,8 +199,18 @@ fn survey(args: &AccuracyArgs, scene: &Path) -> Result<()> {
     let Some(folder) = &args.out else {
         bail!("no folder for the report was given: add -o FOLDER");
     };
+    let is_new = !folder.exists();
     // A large scene takes minutes to load.
     Journal::prepare(folder)?;
+    let done = survey_into(args, scene, folder);
+    if done.is_err() && is_new {
+        // It stays if anything was measured.
+        let _ = std::fs::remove_dir(folder);
+    }
+    done
+}
+
+fn survey_into(args: &AccuracyArgs, scene: &Path, folder: &Path) -> Result<()> {
     let (engine, info) = load(args, scene)?;
     let oracle = match args.oracle {
         true => Some(oracle(args, scene)?),

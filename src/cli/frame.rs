@@ -209,7 +209,10 @@ mod tests {
                 &["--lod", "spt", "--reconstruct", "points", "--error-mode", "split"],
                 "--error-mode: points are selected by their size",
             ),
-            (&["--max-error-px", "2"], "no value, or a value together with `--lod spt`"),
+            (
+                &["--lod", "full", "--max-error-px", "2"],
+                "no value, or a value together with `--lod spt`",
+            ),
             (&["--lod", "spt", "--max-error-px", "0"], "accepted: 0.05 to 64 pixels"),
             (
                 &["--blur-samples", "64"],

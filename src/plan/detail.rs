@@ -8,7 +8,8 @@
 //!
 //! A frame of the tree differs from one of full detail, within the accepted error, in every part of the image at once. Therefore the error
 //! decreases before full detail takes over: to a quarter of the accepted one, over the last quarter of an octave of distance, where
-//! what still differs is small. That costs up to twice the time of full detail there.
+//! what still differs is small. That costs up to [`MOST_TIMES`] the time of full detail there. Nodes of meshes cost several triangles each: there
+//! the error decreases less.
 
 use super::{MaxError, Settings, auto};
 use crate::bake::spacing::Patch;
@@ -23,6 +24,8 @@ const MOST_INSTANCES: u64 = 1024;
 const NEAR: f64 = 0.7;
 /// The smallest error, over the accepted one, just before full detail is drawn.
 const LEAST_SHARE: f64 = 0.25;
+/// How many times as long as full detail a tree with a smaller error than the accepted one may take.
+const MOST_TIMES: f64 = 2.0;
 /// `κ`: where nodes are chosen by their size, or stand for triangles, and where they are chosen by their error.
 pub(super) const NODES_BY_SIZE: f64 = 1.9;
 pub(super) const NODES_BY_ERROR: f64 = 1.6;
@@ -163,6 +166,77 @@ pub(super) fn seen_segments(patches: impl Iterator<Item = InView>, node_px: f64)
     })
 }
 
+/// What a view shows of a scene: the patches in view, once for all errors.
+struct Shown<'a> {
+    samples: Vec<InView>,
+    triangles: Vec<InView>,
+    segments: Vec<InView>,
+    by_size: bool,
+    costs: &'a Costs,
+    full: &'a Cost,
+    tree: &'a Cost,
+}
+
+impl<'a> Shown<'a> {
+    fn of(grounds: &DetailGrounds<'a>) -> Shown<'a> {
+        let in_view = |patches: &[Patch]| {
+            patches.iter().filter_map(|patch| auto::in_view(patch, grounds.view)).collect()
+        };
+        Shown {
+            samples: in_view(grounds.samples),
+            triangles: in_view(grounds.triangles),
+            segments: in_view(grounds.segments),
+            by_size: grounds.tree.draws_points(),
+            costs: grounds.costs,
+            full: grounds.costs.of_samples(grounds.full),
+            tree: grounds.costs.of_samples(grounds.tree),
+        }
+    }
+
+    /// Samples, triangles and segments with what a tree of an accepted error tests in their place.
+    fn at(&self, accepted_px: f32) -> [Seen; 3] {
+        let node_px =
+            if self.by_size { point_error_px(accepted_px, accepted_px > 1.0) } else { accepted_px };
+        let node_px = f64::from(node_px);
+        let width = if self.by_size { NODES_BY_SIZE } else { NODES_BY_ERROR };
+        [
+            seen(self.samples.iter().copied(), width, node_px),
+            seen(self.triangles.iter().copied(), NODES_BY_SIZE, node_px),
+            seen_segments(self.segments.iter().copied(), node_px),
+        ]
+    }
+
+    fn full_ns(&self, accepted_px: f32) -> f64 {
+        let [samples, triangles, segments] = self.at(accepted_px);
+        self.full.full * samples.elements
+            + self.full.area * samples.area
+            + self.costs.triangle * triangles.elements
+            + self.costs.segment * segments.elements
+    }
+
+    fn tree_ns(&self, accepted_px: f32) -> f64 {
+        let [samples, triangles, segments] = self.at(accepted_px);
+        self.tree.node * samples.nodes
+            + self.tree.node_of_mesh * triangles.nodes
+            + self.costs.segment * segments.nodes
+            + self.tree.area * (samples.area_of_nodes + triangles.area_of_nodes)
+            + self.costs.listing
+    }
+
+    /// The smallest error from `wanted_px` to `accepted_px` with which the tree takes at most `most_ns`, within a hundredth of an octave.
+    fn affordable(&self, wanted_px: f32, accepted_px: f32, most_ns: f64) -> f32 {
+        if self.tree_ns(wanted_px) <= most_ns {
+            return wanted_px;
+        }
+        let [mut dear, mut fine] = [wanted_px, accepted_px].map(f32::log2);
+        while fine - dear > 0.01 {
+            let middle = 0.5 * (dear + fine);
+            if self.tree_ns(middle.exp2()) > most_ns { dear = middle } else { fine = middle }
+        }
+        fine.exp2().min(accepted_px)
+    }
+}
+
 /// Decides whether a frame with `lod=spt` is drawn from point trees, and with which error.
 pub fn choose<'a>(grounds: &DetailGrounds<'a>) -> Detail {
     let accepted = grounds.tree.accepted_error();
@@ -170,26 +244,9 @@ pub fn choose<'a>(grounds: &DetailGrounds<'a>) -> Detail {
     if grounds.instances > MOST_INSTANCES || grounds.elements > MOST_ELEMENTS {
         return Detail::Tree { error: accepted };
     }
-    let by_size = grounds.tree.draws_points();
-    let node_px =
-        if by_size { point_error_px(accepted_px, accepted_px > 1.0) } else { accepted_px };
-    let (node_px, view) = (f64::from(node_px), grounds.view);
-    let width = if by_size { NODES_BY_SIZE } else { NODES_BY_ERROR };
-    let in_view = |patches: &'a [Patch]| patches.iter().filter_map(|p| auto::in_view(p, view));
-    let samples = seen(in_view(grounds.samples), width, node_px);
-    let triangles = seen(in_view(grounds.triangles), NODES_BY_SIZE, node_px);
-    let segments = seen_segments(in_view(grounds.segments), node_px);
-    let costs = grounds.costs;
-    let (full, tree) = (costs.of_samples(grounds.full), costs.of_samples(grounds.tree));
-    let full_ns = full.full * samples.elements
-        + full.area * samples.area
-        + costs.triangle * triangles.elements
-        + costs.segment * segments.elements;
-    let tree_ns = tree.node * samples.nodes
-        + tree.node_of_mesh * triangles.nodes
-        + costs.segment * segments.nodes
-        + tree.area * (samples.area_of_nodes + triangles.area_of_nodes)
-        + costs.listing;
+    let shown = Shown::of(grounds);
+    let [samples, triangles, segments] = shown.at(accepted_px);
+    let (full_ns, tree_ns) = (shown.full_ns(accepted_px), shown.tree_ns(accepted_px));
     if tree_ns >= full_ns {
         let because = format!(
             "the {:.0} samples, triangles and segments in view are drawn sooner than nodes are chosen in their place",
@@ -200,7 +257,8 @@ pub fn choose<'a>(grounds: &DetailGrounds<'a>) -> Detail {
     // From 0, where the error is the accepted one, to 1, where full detail takes over.
     let nearness = 1.0 - (tree_ns / full_ns).max(NEAR).log(NEAR);
     let [least_px, _] = MaxError::RANGE;
-    let error_px = accepted_px * LEAST_SHARE.powf(nearness) as f32;
+    let wanted_px = accepted_px * LEAST_SHARE.powf(nearness) as f32;
+    let error_px = shown.affordable(wanted_px, accepted_px, MOST_TIMES * full_ns);
     Detail::Tree { error: MaxError::new(error_px.max(least_px)).unwrap_or(accepted) }
 }
 

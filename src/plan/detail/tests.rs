@@ -105,6 +105,37 @@ fn the_error_decreases_steadily_to_a_quarter_before_full_detail() {
     assert!(*errors.last().unwrap() < 1.1, "{errors:?}");
 }
 
+/// A node of a mesh costs several triangles. With a quarter of the error, the tree would take up to five times as long as full detail.
+#[test]
+fn the_error_of_meshes_decreases_as_far_as_time_allows() {
+    let tree = settings(Reconstruct::Splats, 4.0);
+    let full = Settings { lod: Lod::Full, ..tree };
+    let view = view();
+    let mut errors = Vec::new();
+    for step in 0..400 {
+        let triangles = [patch(2e6, 0.1 * 1.005f64.powi(step))];
+        let grounds = DetailGrounds {
+            samples: &[],
+            triangles: &triangles,
+            segments: &[],
+            view: &view,
+            elements: 2_000_000,
+            instances: 1,
+            full: &full,
+            tree: &tree,
+            costs: Costs::of(false),
+        };
+        let Detail::Tree { error } = choose(&grounds) else { break };
+        let shown = Shown::of(&grounds);
+        assert!(shown.tree_ns(error.px()) <= (MOST_TIMES + 1e-6) * shown.full_ns(4.0));
+        errors.push(error.px());
+    }
+    assert!(errors.len() < 400 && errors[0] == 4.0);
+    assert!(errors.windows(2).all(|pair| pair[1] > 0.9 * pair[0]));
+    let last = *errors.last().unwrap();
+    assert!((2.0..3.5).contains(&last), "{last}");
+}
+
 #[test]
 fn straight_segments_are_drawn_from_levels_sooner_than_bent_ones() {
     let tree = settings(Reconstruct::Points, 1.0);
