@@ -328,7 +328,7 @@ fn tell(
         if program == "Pointillist" {
             continue;
         }
-        // Of all ways of the peer. A way that none of our settings equals counts as infinitely fast.
+        // The smallest ratio of all ways of the peer. A way that none of our settings equals counts as 0.
         let mut least: Option<f64> = None;
         for peer in front {
             let enough = ways.iter().filter(|way| {

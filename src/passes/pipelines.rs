@@ -131,22 +131,15 @@ impl Pipelines {
         self.shaders.lock().remove(&(variant.root, variant.choices));
     }
 
-    fn build_compute(
+    /// Builds a pipeline of either kind.
+    fn built<P>(
         &self,
         gpu: &Gpu,
         variant: &Variant,
-    ) -> Result<Arc<ComputePipeline>, ShaderError> {
+        new: fn(&Gpu, &Shader, &[(&str, f64)]) -> P,
+    ) -> Result<Arc<P>, ShaderError> {
         let shader = self.shader(gpu, variant)?;
-        Ok(Arc::new(ComputePipeline::new(gpu, &shader, &variant.values())))
-    }
-
-    fn build_raster(
-        &self,
-        gpu: &Gpu,
-        variant: &Variant,
-    ) -> Result<Arc<RasterPipeline>, ShaderError> {
-        let shader = self.shader(gpu, variant)?;
-        Ok(Arc::new(RasterPipeline::new(gpu, &shader, &variant.values())))
+        Ok(Arc::new(new(gpu, &shader, &variant.values())))
     }
 
     /// Returns the pipeline of a compute pass.
@@ -163,7 +156,7 @@ impl Pipelines {
         let variant = Variant::new(pass, choices, constants);
         let slot = self.compute.slot(&variant);
         self.note(&slot, &variant);
-        slot.built.get_or_init(|| self.build_compute(gpu, &variant)).clone()
+        slot.built.get_or_init(|| self.built(gpu, &variant, ComputePipeline::new)).clone()
     }
 
     /// Returns the pipeline of a pass through the rasteriser.
@@ -180,7 +173,7 @@ impl Pipelines {
         let variant = Variant::new(pass, choices, constants);
         let slot = self.raster.slot(&variant);
         self.note(&slot, &variant);
-        slot.built.get_or_init(|| self.build_raster(gpu, &variant)).clone()
+        slot.built.get_or_init(|| self.built(gpu, &variant, RasterPipeline::new)).clone()
     }
 
     /// Builds a variant ahead of time, with `check` around the building. Gives the pipeline where it is a compute pass and was
@@ -196,8 +189,10 @@ impl Pipelines {
     ) -> Result<Option<Arc<ComputePipeline>>, ShaderError> {
         if variant.is_raster() {
             let slot = self.raster.slot(variant);
-            let build =
-                || self.build_raster(gpu, variant).and_then(|built| check().map(|()| built));
+            let build = || {
+                self.built(gpu, variant, RasterPipeline::new)
+                    .and_then(|built| check().map(|()| built))
+            };
             let built = slot.built.get_or_init(build).clone();
             return built.map(|_| None).inspect_err(|_| {
                 self.raster.forget(variant);
@@ -208,7 +203,7 @@ impl Pipelines {
         let mut is_new = false;
         let built = slot.built.get_or_init(|| {
             is_new = true;
-            self.build_compute(gpu, variant).and_then(|built| check().map(|()| built))
+            self.built(gpu, variant, ComputePipeline::new).and_then(|built| check().map(|()| built))
         });
         let built = built.clone().inspect_err(|_| {
             self.compute.forget(variant);

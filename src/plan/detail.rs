@@ -8,8 +8,8 @@
 //!
 //! A frame of the tree differs from one of full detail, within the accepted error, in every part of the image at once. Therefore the error
 //! decreases before full detail takes over: to a quarter of the accepted one, over the last quarter of an octave of distance, where
-//! what still differs is small. That costs up to [`MOST_TIMES`] the time of full detail there. Nodes of meshes cost several triangles each: there
-//! the error decreases less.
+//! what still differs is small. That costs up to [`MOST_TIMES`] the time of full detail there, as estimated. Nodes of meshes cost several triangles
+//! each: there the error decreases less.
 
 use super::{MaxError, Settings, auto};
 use crate::bake::spacing::Patch;
@@ -166,7 +166,7 @@ pub(super) fn seen_segments(patches: impl Iterator<Item = InView>, node_px: f64)
     })
 }
 
-/// What a view shows of a scene: the patches in view, once for all errors.
+/// The patches of a scene that are in view. The costs of every error follow from them.
 struct Shown<'a> {
     samples: Vec<InView>,
     triangles: Vec<InView>,
@@ -206,16 +206,14 @@ impl<'a> Shown<'a> {
         ]
     }
 
-    fn full_ns(&self, accepted_px: f32) -> f64 {
-        let [samples, triangles, segments] = self.at(accepted_px);
+    fn full_ns(&self, [samples, triangles, segments]: [Seen; 3]) -> f64 {
         self.full.full * samples.elements
             + self.full.area * samples.area
             + self.costs.triangle * triangles.elements
             + self.costs.segment * segments.elements
     }
 
-    fn tree_ns(&self, accepted_px: f32) -> f64 {
-        let [samples, triangles, segments] = self.at(accepted_px);
+    fn tree_ns(&self, [samples, triangles, segments]: [Seen; 3]) -> f64 {
         self.tree.node * samples.nodes
             + self.tree.node_of_mesh * triangles.nodes
             + self.costs.segment * segments.nodes
@@ -225,13 +223,14 @@ impl<'a> Shown<'a> {
 
     /// The smallest error from `wanted_px` to `accepted_px` with which the tree takes at most `most_ns`, within a hundredth of an octave.
     fn affordable(&self, wanted_px: f32, accepted_px: f32, most_ns: f64) -> f32 {
-        if self.tree_ns(wanted_px) <= most_ns {
+        let is_dear = |error_px: f32| self.tree_ns(self.at(error_px)) > most_ns;
+        if !is_dear(wanted_px) {
             return wanted_px;
         }
         let [mut dear, mut fine] = [wanted_px, accepted_px].map(f32::log2);
         while fine - dear > 0.01 {
             let middle = 0.5 * (dear + fine);
-            if self.tree_ns(middle.exp2()) > most_ns { dear = middle } else { fine = middle }
+            if is_dear(middle.exp2()) { dear = middle } else { fine = middle }
         }
         fine.exp2().min(accepted_px)
     }
@@ -245,12 +244,12 @@ pub fn choose<'a>(grounds: &DetailGrounds<'a>) -> Detail {
         return Detail::Tree { error: accepted };
     }
     let shown = Shown::of(grounds);
-    let [samples, triangles, segments] = shown.at(accepted_px);
-    let (full_ns, tree_ns) = (shown.full_ns(accepted_px), shown.tree_ns(accepted_px));
+    let seen = shown.at(accepted_px);
+    let (full_ns, tree_ns) = (shown.full_ns(seen), shown.tree_ns(seen));
     if tree_ns >= full_ns {
         let because = format!(
             "the {:.0} samples, triangles and segments in view are drawn sooner than nodes are chosen in their place",
-            samples.elements + triangles.elements + segments.elements
+            seen.iter().map(|of_kind| of_kind.elements).sum::<f64>()
         );
         return Detail::Full { because };
     }

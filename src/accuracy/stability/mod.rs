@@ -23,7 +23,7 @@ use crate::scene::random::SplitMix64;
 use cases::{Case, Class, Lens};
 use device::{Device, Filter, Found, Probe, Side};
 use formulas::Outline;
-use truth::{DIRECTIONS, GUARD_PX, TrueSide, Truth, direction, hold};
+use truth::{DIRECTIONS, GUARD_PX, TrueSide, Truth, direction, hold, is_bounded};
 
 /// Largest side of an image.
 const IMAGE_PX: f64 = 16_384.0;
@@ -295,7 +295,6 @@ impl Row {
     fn add_ours(&mut self, case: &Case, truth: &Truth, probe: &Probe, found: [&Found; 2]) {
         let [perspective, exact] = found;
         let bounds = truth.bounds();
-        let is_bounded = |bound_px: f64| bound_px < 2.0 * GUARD_PX;
         let all = [bounds.box_px, bounds.centre_px, bounds.outline_px];
         self.unbounded += u32::from(!all.into_iter().all(is_bounded));
         let add = |judged: &mut Judged, error_px: f64, bound_px: f64| {

@@ -12,6 +12,14 @@ use super::cases::{Disk, Lens};
 
 /// Outlines are compared within this distance of the image's origin, in pixels.
 pub const GUARD_PX: f64 = (1 << 20) as f64;
+/// The largest error of a clamped number.
+const WIDTH_PX: f64 = 2.0 * GUARD_PX;
+
+/// Whether an error may exceed a bound.
+pub fn is_bounded(bound_px: f64) -> bool {
+    bound_px < WIDTH_PX
+}
+
 /// Disks whose gap to the camera plane, relative to their depth, is at most this may count as crossing it. The value is twice the
 /// `GAP` in `shared/splat`, below which `make_splat` treats splats as crossing.
 const CLOSE: f64 = 1.0 / (1 << 17) as f64;
@@ -181,11 +189,10 @@ impl Truth {
         let reach = (self.x.length_squared() + self.y.length_squared()).sqrt();
         let place = self.principal.length() + self.focal_tan.length();
         let input = (reach + self.focal_tan.length() * self.z.length()) / self.gap;
-        let guard = 2.0 * GUARD_PX;
         // An end beyond the guard is clamped to it, so the error is at most the guard's width.
         let far = DVec2::from(self.extent(DVec2::X)).abs().max_element();
         let far = far.max(DVec2::from(self.extent(DVec2::Y)).abs().max_element());
-        let cap = |px: f64| if px < guard { px } else { guard };
+        let cap = |px: f64| if is_bounded(px) { px } else { WIDTH_PX };
         let (gap, off) = (self.gap, self.off_centre().length());
         Bounds {
             box_px: cap(STEPS * U * (place + 2.0 * input + far + far / gap)),

@@ -127,7 +127,8 @@ fn the_error_of_meshes_decreases_as_far_as_time_allows() {
         };
         let Detail::Tree { error } = choose(&grounds) else { break };
         let shown = Shown::of(&grounds);
-        assert!(shown.tree_ns(error.px()) <= (MOST_TIMES + 1e-6) * shown.full_ns(4.0));
+        let [drawn, accepted] = [error.px(), 4.0].map(|px| shown.at(px));
+        assert!(shown.tree_ns(drawn) <= (MOST_TIMES + 1e-6) * shown.full_ns(accepted));
         errors.push(error.px());
     }
     assert!(errors.len() < 400 && errors[0] == 4.0);

@@ -55,10 +55,8 @@ pub fn pack_lines(lines: &Polylines) -> Result<PackedLines, PackError> {
             values: values_at(&lines.fields, v),
         }
     };
-    let mut packer = LinePacker {
-        are_ribbons: sides.is_some(),
-        ..LinePacker::new(grid, lines.strands.clone(), pack_fields(&lines.fields))
-    };
+    let fields = pack_fields(&lines.fields);
+    let mut packer = LinePacker::new(grid, lines.strands.clone(), fields, sides.is_some());
     let always = NodeRange { error_parent: ALWAYS, size_parent: ALWAYS, ..NodeRange::default() };
     packer.add(always, lines.positions.len(), order, vertex);
     let mut packed = packer.finished();
@@ -128,7 +126,12 @@ struct LinePacker {
 }
 
 impl LinePacker {
-    fn new(grid: Grid, strands: Vec<u32>, fields: Vec<PackedField>) -> LinePacker {
+    fn new(
+        grid: Grid,
+        strands: Vec<u32>,
+        fields: Vec<PackedField>,
+        are_ribbons: bool,
+    ) -> LinePacker {
         let out = PackedLines {
             grid,
             chunks: Vec::new(),
@@ -139,7 +142,7 @@ impl LinePacker {
             fields,
             values: Vec::new(),
         };
-        LinePacker { are_ribbons: false, out }
+        LinePacker { are_ribbons, out }
     }
 
     /// Adds segments in chunks of their own that have this range. The segments lead to `count` vertices.
@@ -247,10 +250,8 @@ pub fn pack_levels(
     lines: &PackedLines,
     levels: &[(NodeRange, Vec<Piece<LineVertex>>)],
 ) -> Result<PackedLines, PackError> {
-    let mut packer = LinePacker {
-        are_ribbons: lines.are_ribbons(),
-        ..LinePacker::new(lines.grid, lines.strands.clone(), lines.fields.clone())
-    };
+    let (strands, fields) = (lines.strands.clone(), lines.fields.clone());
+    let mut packer = LinePacker::new(lines.grid, strands, fields, lines.are_ribbons());
     for (range, pieces) in levels {
         let vertices: Vec<LineVertex> =
             pieces.iter().flat_map(|piece| piece.vertices.iter().copied()).collect();
