@@ -260,7 +260,7 @@ fn main() -> anyhow::Result<()> {
         let mut ways: Vec<Way> = Vec::new();
         let mut drawn = Vec::new();
         let extent = pick(Extent::Planned, Extent::Few);
-        for row in rows(extent) {
+        for row in rows(extent, true) {
             let settings = Settings::from(row.given).complete();
             ours.bake(settings)?;
             // Settings that the program draws as earlier ones are left out.

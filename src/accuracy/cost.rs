@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::results::{NO_SAMPLES, decibels_down, three_digits};
+use super::results::{decibels_down, three_digits};
 use super::sweep::{Price, Quartiles, pareto, price, roughness};
 
 /// Decibels between two levels, and the same where there would be more than [`MOST_LEVELS`] of them.
@@ -61,7 +61,6 @@ struct ToldScope {
 #[derive(Deserialize)]
 struct ToldEntry {
     row: String,
-    family: String,
     psnr_db: Option<f64>,
     gpu_ms: Option<Quartiles>,
 }
@@ -69,7 +68,7 @@ struct ToldEntry {
 /// A setting on the Pareto front of a scene.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Point {
-    /// The setting in words. In frames without samples, how samples would be drawn is left out.
+    /// The setting in words.
     pub label: String,
     /// `None` for frames that equal the reference.
     pub psnr_db: Option<f64>,
@@ -119,13 +118,9 @@ impl Curve {
             if let Some(value) = wrong {
                 return Err(CostError::Time { row: entry.row, value });
             }
-            let label = match entry.row.split_once(' ') {
-                Some((_, rest)) if entry.family == NO_SAMPLES => rest.to_owned(),
-                _ => entry.row,
-            };
-            points.push(Point { label, psnr_db: entry.psnr_db, gpu_ms: time });
+            points.push(Point { label: entry.row, psnr_db: entry.psnr_db, gpu_ms: time });
         }
-        let points = front(points);
+        let points = front(&points);
         if points.is_empty() {
             return Err(CostError::Empty);
         }
@@ -183,21 +178,11 @@ fn percent(price: &Price) -> Option<f64> {
     Some(100.0 * (price.times_per_db? - 1.0))
 }
 
-/// The points that no other point beats in time and decibels, where the noise of times tells them apart: a point whose quartiles reach those of the next more
-/// exact one is left out. Points whose decibels are NaN, or whose time is not finite, are left out as well.
-fn front(points: Vec<Point>) -> Vec<Point> {
+/// The points that no other point beats in time and decibels, from the fastest. Points whose decibels are NaN, or whose time is not finite, are left out.
+fn front(points: &[Point]) -> Vec<Point> {
     let pairs: Vec<(f64, f64)> =
         points.iter().map(|point| (point.gpu_ms.median, -point.decibels())).collect();
-    let mut points: Vec<Option<Point>> = points.into_iter().map(Some).collect();
-    let mut kept: Vec<Point> = Vec::new();
-    // From the most exact one, so that a row of points that each reach the next is not left out as a whole.
-    for point in pareto(&pairs).into_iter().rev().filter_map(|index| points[index].take()) {
-        if kept.last().is_none_or(|next| point.gpu_ms.high < next.gpu_ms.low) {
-            kept.push(point);
-        }
-    }
-    kept.reverse();
-    kept
+    pareto(&pairs).into_iter().map(|index| points[index].clone()).collect()
 }
 
 /// The fastest point of the front that has at least so many decibels.
@@ -321,7 +306,7 @@ pub(super) mod tests {
     }
 
     fn curve(scene: &str, points: Vec<Point>) -> Curve {
-        let points = front(points);
+        let points = front(&points);
         Curve {
             scene: scene.into(),
             adapter: "A".into(),
@@ -418,15 +403,6 @@ pub(super) mod tests {
         assert!(answer.contains("from 29.9 dB to 39.9 dB (2.00 times"), "{answer}");
     }
 
-    /// Quartiles reach from 0.9 to 1.2 times the median: those of `b` reach those of `c`, those of `a` reach `b`'s alone.
-    #[test]
-    fn points_within_the_noise_of_the_next_are_no_steps() {
-        let points = [("a", 30.0, 10.0), ("b", 33.0, 12.5), ("c", 35.0, 14.0), ("d", 40.0, 30.0)];
-        let points = points.map(|(row, db, ms)| point(row, Some(db), ms)).to_vec();
-        let rows: Vec<String> = front(points).into_iter().map(|point| point.label).collect();
-        assert_eq!(rows, ["a", "c", "d"]);
-    }
-
     #[test]
     fn fronts_rise_and_have_no_values_that_are_not_numbers() {
         let points = vec![
@@ -436,7 +412,7 @@ pub(super) mod tests {
             point("fast", Some(30.0), 2.0),
             point("beaten", Some(29.0), 3.0),
         ];
-        let rows: Vec<String> = front(points).into_iter().map(|point| point.label).collect();
+        let rows: Vec<String> = front(&points).into_iter().map(|point| point.label).collect();
         assert_eq!(rows, ["fast", "slow"]);
         assert!(levels(&[]).is_empty());
         let equal = curve("equal", vec![point("exact", None, 1.0)]);
@@ -454,9 +430,6 @@ pub(super) mod tests {
         assert_eq!((read.name(), read.poses.as_str()), ("scene", "all poses"));
         let rows: Vec<&str> = read.points.iter().map(|point| point.label.as_str()).collect();
         assert_eq!(rows, ["fast way", "good way"]);
-        let mut meshes = serde_json::to_value(results()).unwrap();
-        meshes["scopes"][0]["entries"][0]["family"] = NO_SAMPLES.into();
-        assert_eq!(Curve::read(&meshes.to_string()).unwrap().points[0].label, "way");
         let message = |text: &str| Curve::read(text).unwrap_err().to_string();
         assert!(
             message("{}").starts_with("not the accuracy.json of a report"),

@@ -112,6 +112,16 @@ impl Identity {
 pub struct Metrics {
     /// Mean squared error of the red, green and blue bytes.
     pub mse: f64,
+    /// `None` for the planner, which needs the squared error alone.
+    #[serde(flatten)]
+    #[schema(value_type = OtherMetrics)]
+    pub others: Option<OtherMetrics>,
+}
+
+/// Errors of a frame against the reference by further measures.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[schema(as = SurveyOtherErrors)]
+pub struct OtherMetrics {
     pub ssim: f64,
     pub flip: f64,
     pub max_error: u8,

@@ -73,7 +73,7 @@ impl Planning<'_> {
 
     /// Frames that need what only a bake makes, to be baked before.
     pub fn requests(&self) -> Vec<FrameRequest> {
-        let survey = self.survey(self.least_size, Vec::new(), rows(Extent::Planned));
+        let survey = self.survey(self.least_size, Vec::new(), rows(Extent::Planned, true));
         let all =
             survey.rows.iter().map(|row| Settings::from(row.given)).chain([Settings::exact()]);
         let request = |settings: Settings| FrameRequest {
@@ -94,7 +94,8 @@ impl Planning<'_> {
     ) -> Result<Measured, SurveyError> {
         let mut poses = self.poses(info)?;
         let stages = 1 + SIZES.len() as u64;
-        let mut first = self.survey(self.least_size, poses.clone(), planned_rows());
+        let mut first =
+            self.survey(self.least_size, poses.clone(), planned_rows(info.has_samples()));
         let blank = first.leave_out_blank()?;
         if first.poses.is_empty() {
             return Err(SurveyError::Blank(blank.join(", ")));
@@ -221,7 +222,7 @@ mod tests {
     #[test]
     fn beaten_settings_are_left_out() {
         let found = results();
-        let rows = rows(Extent::Planned);
+        let rows = rows(Extent::Planned, true);
         let kept = unbeaten(&found, &rows);
         assert!(kept.len() < rows.len());
         // Each way to draw samples stays.

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use super::journal::{Identity, Metrics, Record};
+use super::journal::{Identity, Metrics, OtherMetrics, Record};
 use super::metrics::{Coverage, Spread, psnr_db};
 use super::sweep::{Price, Quartiles, Row, owners, pareto, price, roughness};
 use crate::plan::Given;
@@ -18,7 +18,7 @@ pub use along::{Along, AlongEntry};
 pub const ALL_POSES: &str = "all poses";
 
 /// Family of frames that show no samples.
-pub(super) const NO_SAMPLES: &str = "meshes, lines";
+const NO_SAMPLES: &str = "meshes, lines";
 
 /// Everything that a report shows.
 #[derive(Clone, Debug, Serialize, utoipa::ToSchema)]
@@ -48,7 +48,8 @@ pub struct Scope {
     /// Rows that the program refuses, each with the reason.
     #[schema(value_type = Vec<Vec<String>>)]
     pub refused: Vec<(String, String)>,
-    /// Labels of the rows on the Pareto front of time and error, from the fastest to the most exact, by the measure of the error.
+    /// Labels of the rows on the Pareto front of time and error, from the fastest to the most exact, by the measure of the error. A row whose quartiles of
+    /// time reach those of the next more exact one is left out.
     #[schema(value_type = BTreeMap<String, Vec<String>>)]
     pub fronts: BTreeMap<&'static str, Vec<String>>,
     /// Prices from each point of the front of `psnr` to the next.
@@ -99,8 +100,8 @@ pub type ErrorOf = fn(&Entry) -> f64;
 /// Measures by which fronts are found.
 pub const MEASURES: [(&str, ErrorOf); 3] = [
     ("psnr", |entry| entry.metrics.mse),
-    ("flip", |entry| entry.metrics.flip),
-    ("ssim", |entry| 1.0 - entry.metrics.ssim),
+    ("flip", |entry| entry.metrics.others.as_ref().map_or(f64::NAN, |others| others.flip)),
+    ("ssim", |entry| entry.metrics.others.as_ref().map_or(f64::NAN, |others| 1.0 - others.ssim)),
 ];
 
 /// Points of a front are at least so much more exact than the one before.
@@ -136,6 +137,9 @@ impl Scope {
             let mut front: Vec<&Entry> = pareto(&points).into_iter().map(|i| own[i]).collect();
             if measure == "psnr" {
                 front = worthwhile(front);
+            }
+            front = told_apart(front);
+            if measure == "psnr" {
                 let points: Vec<(f64, f64)> =
                     front.iter().map(|entry| (time(entry), entry.decibels())).collect();
                 steps = points.windows(2).filter_map(|pair| price(pair[0], pair[1])).collect();
@@ -274,8 +278,15 @@ impl Entry {
 
 /// Metrics over the pixels of several frames of one size. Medians and 99th percentiles are means over the frames.
 fn pooled(of: &[&Metrics]) -> Metrics {
+    let mse = of.iter().map(|one| one.mse).sum::<f64>() / of.len().max(1) as f64;
+    let others: Option<Vec<&OtherMetrics>> = of.iter().map(|one| one.others.as_ref()).collect();
+    Metrics { mse, others: others.map(|others| pooled_others(&others)) }
+}
+
+fn pooled_others(of: &[&OtherMetrics]) -> OtherMetrics {
     let count = of.len().max(1) as f64;
-    let mean = |value: fn(&Metrics) -> f64| of.iter().map(|one| value(one)).sum::<f64>() / count;
+    let mean =
+        |value: fn(&OtherMetrics) -> f64| of.iter().map(|one| value(one)).sum::<f64>() / count;
     let mut coverage = Coverage::default();
     let mut both = 0;
     for one in of.iter().map(|one| &one.coverage) {
@@ -289,7 +300,7 @@ fn pooled(of: &[&Metrics]) -> Metrics {
     }
     let either = both + coverage.holes + coverage.leaks;
     coverage.silhouette_iou = if either == 0 { 1.0 } else { both as f64 / either as f64 };
-    let spread = |part: fn(&Metrics) -> Option<Spread>| {
+    let spread = |part: fn(&OtherMetrics) -> Option<Spread>| {
         let all: Vec<Spread> = of.iter().filter_map(|one| part(one)).collect();
         let mean = |value: fn(&Spread) -> f64| {
             all.iter().map(value).sum::<f64>() / all.len().max(1) as f64
@@ -304,8 +315,7 @@ fn pooled(of: &[&Metrics]) -> Metrics {
             p99: mean(|one| one.p99),
         })
     };
-    Metrics {
-        mse: mean(|one| one.mse),
+    OtherMetrics {
         ssim: mean(|one| one.ssim),
         flip: mean(|one| one.flip),
         max_error: of.iter().map(|one| one.max_error).max().unwrap_or(0),
@@ -323,6 +333,22 @@ fn worthwhile(front: Vec<&Entry>) -> Vec<&Entry> {
             kept.push(entry);
         }
     }
+    kept
+}
+
+/// The points of a front whose times the noise tells apart: a point whose quartiles reach those of the next more exact one is left out.
+fn told_apart(front: Vec<&Entry>) -> Vec<&Entry> {
+    let mut kept: Vec<&Entry> = Vec::new();
+    // From the most exact one, so that a row of points that each reach the next is not left out as a whole.
+    for entry in front.into_iter().rev() {
+        let is_faster = |next: &&Entry| {
+            entry.gpu_ms.zip(next.gpu_ms).is_some_and(|(own, next)| own.high < next.low)
+        };
+        if kept.last().is_none_or(is_faster) {
+            kept.push(entry);
+        }
+    }
+    kept.reverse();
     kept
 }
 

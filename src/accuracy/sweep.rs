@@ -1,5 +1,7 @@
 //! The list of what a survey draws, its order, and the statistics of what it finds. Pure: no engine, clock or file.
 
+use std::collections::BTreeSet;
+
 use serde::{Deserialize, Serialize};
 
 use crate::plan::{Extent, Given, Settings, scaled_size, trade_offs};
@@ -57,27 +59,34 @@ pub fn slug(text: &str) -> String {
     words.join("-")
 }
 
-/// All combinations of settings, from their declarations, at full size.
-pub fn rows(extent: Extent) -> Vec<Row> {
-    let row = |found: crate::plan::TradeOff| Row {
-        label: found.label,
-        family: found.family,
-        given: found.given,
-        scale: 1.0,
+/// All combinations of settings, from their declarations, at full size. Of those that draw no samples, the first ones of a scene without samples have names
+/// without the way to draw samples: the others are drawn alike.
+pub fn rows(extent: Extent, has_samples: bool) -> Vec<Row> {
+    let mut named: BTreeSet<String> = BTreeSet::new();
+    let row = |found: crate::plan::TradeOff| {
+        let crate::plan::TradeOff { mut label, family, given } = found;
+        // Point trees of meshes have samples.
+        if !has_samples && !Settings::from(given).draws_trees() {
+            let rest = label.strip_prefix(&family).unwrap_or(&label).trim_start().to_owned();
+            if named.insert(rest.clone()) {
+                label = rest;
+            }
+        }
+        Row { label, family, given, scale: 1.0 }
     };
     trade_offs(extent).into_iter().map(row).collect()
 }
 
 /// All rows of a survey: the combinations of settings, and the main ones with default numbers at each of [`SCALES`].
-pub fn sized_rows(extent: Extent) -> Vec<Row> {
-    let mut found = rows(extent);
-    found.extend(smaller(&rows(Extent::Few), &SCALES));
+pub fn sized_rows(extent: Extent, has_samples: bool) -> Vec<Row> {
+    let mut found = rows(extent, has_samples);
+    found.extend(smaller(&rows(Extent::Few, has_samples), &SCALES));
     found
 }
 
 /// All rows of a planner: the combinations of settings, and those without antialiasing in smaller sizes.
-pub fn planned_rows() -> Vec<Row> {
-    let mut found = rows(Extent::Planned);
+pub fn planned_rows(has_samples: bool) -> Vec<Row> {
+    let mut found = rows(Extent::Planned, has_samples);
     found.extend(smaller(&found, &PLANNED_SCALES));
     found
 }
@@ -97,10 +106,11 @@ fn smaller(rows: &[Row], scales: &[(f64, &str)]) -> Vec<Row> {
 }
 
 /// Rows of a survey that are compared along a camera path: the main settings, and the variants and sizes that matter most.
-pub fn main_rows(extent: Extent) -> Vec<Row> {
-    let mut found = sized_rows(Extent::Few);
+pub fn main_rows(extent: Extent, has_samples: bool) -> Vec<Row> {
+    let mut found = sized_rows(Extent::Few, has_samples);
     if extent == Extent::All {
-        let more = rows(Extent::Planned).into_iter().filter(|row| !found.contains(row));
+        let more =
+            rows(Extent::Planned, has_samples).into_iter().filter(|row| !found.contains(row));
         found.extend(more.collect::<Vec<_>>());
     }
     found
@@ -241,8 +251,6 @@ pub fn price(from: (f64, f64), to: (f64, f64)) -> Option<Price> {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeSet;
-
     use super::*;
 
     #[test]
@@ -320,7 +328,7 @@ mod tests {
 
     #[test]
     fn rows_have_file_names_of_their_own() {
-        let rows = sized_rows(Extent::All);
+        let rows = sized_rows(Extent::All, true);
         let slugs: BTreeSet<String> = rows.iter().map(Row::slug).collect();
         assert_eq!(slugs.len(), rows.len());
         assert!(slugs.contains("splats-spt-0-25-px"), "{slugs:?}");
@@ -330,8 +338,28 @@ mod tests {
     }
 
     #[test]
+    fn rows_of_a_scene_without_samples_do_not_say_how_samples_are_drawn() {
+        for (with, without) in [
+            (planned_rows(true), planned_rows(false)),
+            (sized_rows(Extent::All, true), sized_rows(Extent::All, false)),
+        ] {
+            let labels: BTreeSet<&str> = without.iter().map(|row| row.label.as_str()).collect();
+            assert_eq!((labels.len(), without.len()), (without.len(), with.len()));
+            for expected in ["full", "full antialias=4x", "full size=1/2", "points spt 1 px"] {
+                assert!(labels.contains(expected), "{expected} in {labels:?}");
+            }
+            // The rows are the same ones in all else.
+            for (with, without) in with.iter().zip(&without) {
+                let renamed = Row { label: with.label.clone(), ..without.clone() };
+                assert_eq!(&renamed, with);
+                assert!(with.label.ends_with(&without.label), "{} {}", with.label, without.label);
+            }
+        }
+    }
+
+    #[test]
     fn the_main_settings_are_drawn_smaller_as_well() {
-        let sized = sized_rows(Extent::Few);
+        let sized = sized_rows(Extent::Few, true);
         let smaller: Vec<&Row> = sized.iter().filter(|row| !row.is_whole()).collect();
         for row in &smaller {
             let (plain, _) = row.label.rsplit_once(" size=").unwrap();
@@ -339,16 +367,18 @@ mod tests {
             assert_eq!((whole.given, whole.family.as_str()), (row.given, row.family.as_str()));
             assert!(!plain.contains('=') && row.family != "auto" && !row.is_default());
         }
-        let plain = rows(Extent::Few).len();
+        let plain = rows(Extent::Few, true).len();
         assert_eq!((smaller.len() + plain, smaller.len() % 2), (sized.len(), 0));
-        assert!(rows(Extent::Planned).iter().chain(&rows(Extent::All)).all(Row::is_whole));
+        assert!(
+            rows(Extent::Planned, true).iter().chain(&rows(Extent::All, true)).all(Row::is_whole)
+        );
         let half = smaller.iter().find(|row| row.label == "splats full size=1/2").unwrap();
         assert_eq!((half.drawn_size([640, 361]), half.drawn_size([1, 1])), ([320, 181], [1, 1]));
     }
 
     #[test]
     fn a_planner_chooses_from_every_way_to_draw_samples_in_every_size() {
-        let rows = planned_rows();
+        let rows = planned_rows(true);
         for way in ["points", "splats", "fuzzy", "painted", "pull_push"] {
             for detail in ["full", "spt 1 px", "spt 8 px"] {
                 for size in ["", " size=3/4", " size=1/2", " size=1/4"] {
@@ -363,7 +393,7 @@ mod tests {
     fn rows_of_a_path_are_those_of_the_survey_and_have_one_full_detail_each() {
         for (extent, error) in [(Extent::Few, "splats spt 1 px"), (Extent::All, "splats spt 4 px")]
         {
-            let (own, all) = (main_rows(extent), sized_rows(extent));
+            let (own, all) = (main_rows(extent, true), sized_rows(extent, true));
             assert!(own.iter().all(|row| all.contains(row)), "{extent:?}");
             assert!(own.iter().any(|row| row.label == error), "{extent:?}");
             assert!(own.iter().any(Row::is_default), "{extent:?}");

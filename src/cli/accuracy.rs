@@ -226,7 +226,7 @@ fn survey_into(args: &AccuracyArgs, scene: &Path, folder: &Path) -> Result<()> {
         client: Client::Unnamed,
         scene: ID,
         poses: Vec::new(),
-        rows: sweep::sized_rows(extent),
+        rows: sweep::sized_rows(extent, info.has_samples()),
         size: [width, height],
         repeats: args.repeats.unwrap_or(if args.quick { 3 } else { 5 }),
         seed: args.seed,
@@ -258,7 +258,7 @@ fn survey_into(args: &AccuracyArgs, scene: &Path, folder: &Path) -> Result<()> {
     let path = args.path.as_deref().zip(shots.as_ref());
     let path = path.map(|(name, shots)| {
         let name = Path::new(name).file_name().and_then(|name| name.to_str()).unwrap_or(name);
-        AlongPath { name, shots, rows: sweep::main_rows(extent) }
+        AlongPath { name, shots, rows: sweep::main_rows(extent, info.has_samples()) }
     });
     let record = path.as_ref().map(AlongPath::record);
     let identity = Identity { path: record, ..survey.identity(&name)? };
@@ -421,7 +421,8 @@ fn steadiness(args: &AccuracyArgs) -> Result<Vec<Steadiness>> {
     if args.scenes.is_empty() {
         return Ok(Vec::new());
     }
-    let rows = sweep::rows(Extent::All);
+    // One list for all scenes, with or without samples.
+    let rows = sweep::rows(Extent::All, true);
     let stop = stop_when_told()?;
     let (mut found, mut first) = (Vec::with_capacity(args.scenes.len()), 0);
     for scene in &args.scenes {

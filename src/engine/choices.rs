@@ -47,8 +47,8 @@ pub fn with_detail(
         triangles: loaded.patches(GeometryKind::Triangles),
         segments: loaded.patches(GeometryKind::Lines),
         view,
-        elements: counts.elements(),
-        instances: counts.instances,
+        elements: loaded.model.assets.iter().map(|asset| asset.counts().elements()).sum(),
+        chunks: counts.chunks,
         full: &drawn_as(Lod::Full, counts.samples > 0),
         // Trees of meshes have samples as well.
         tree: &drawn_as(Lod::Spt, true),

@@ -77,6 +77,13 @@ pub struct SceneInfo {
     pub warnings: Vec<String>,
 }
 
+impl SceneInfo {
+    /// Whether the scene has samples of its own. Point trees of its meshes have some, too.
+    pub fn has_samples(&self) -> bool {
+        self.samples > 0
+    }
+}
+
 #[derive(Clone, Debug, Serialize, utoipa::ToSchema)]
 pub struct AssetInfo {
     pub name: String,

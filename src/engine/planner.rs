@@ -262,7 +262,7 @@ impl Planners {
                 self.write_paces(known, paces);
             }
         }
-        PlanReceipt { actual_ms, ..planned.receipt.clone() }
+        planned.receipt.clone().of_drawn(actual_ms)
     }
 
     /// Writes the note of measurements anew, unless they were replaced or removed while a frame was drawn from them.

@@ -81,11 +81,11 @@ pub struct Receipt {
 }
 
 impl Receipt {
-    /// Warnings for a person who looks at the frame: why little or nothing can be seen, why the goal of the request is not promised, and
-    /// which surfaces may be missing.
+    /// Warnings for a person who looks at the frame: why little or nothing can be seen, why the goal of the request is not promised or
+    /// was not kept, and which surfaces may be missing.
     pub fn warnings(&self) -> Vec<String> {
-        let unpromised = self.planned.as_ref().and_then(PlanReceipt::unpromised);
-        [self.hardly_visible(), unpromised, self.left_out()].into_iter().flatten().collect()
+        let planned = self.planned.as_ref().and_then(PlanReceipt::warning);
+        [self.hardly_visible(), planned, self.left_out()].into_iter().flatten().collect()
     }
 
     /// Why little or nothing can be seen, where that is so.

@@ -4,7 +4,8 @@
 //! tests about `n · (κ s / e)²` nodes in place of `n` samples or triangles that lie `s` pixels apart, if nodes may be `e` pixels wide,
 //! and a node that is tested costs more than a sample that is drawn unasked. The [`Costs`] of CPUs were measured on two cores, those of discrete GPUs on an
 //! NVIDIA H200, where a frame of full detail takes hardly longer than its passes take to start: 1 to 8 million samples or 0.4 to 2.9 million triangles,
-//! 0.4 to 1.4 ms (statues and reliefs at 256² and 1024²).
+//! 0.4 to 1.4 ms (statues and reliefs at 256² and 1024²). The cost of a chunk was measured on CPUs (the plaza of 17,600 instances: 4.0 to 4.5 ms to place and
+//! cull about 24,000 chunks); that of GPUs is smaller by as much as the cost of a segment is.
 //!
 //! A frame of the tree differs from one of full detail, within the accepted error, in every part of the image at once. Therefore the error
 //! decreases before full detail takes over: to a quarter of the accepted one, over the last quarter of an octave of distance, where
@@ -15,10 +16,10 @@ use super::{MaxError, Settings, auto};
 use crate::bake::spacing::Patch;
 use crate::math::View;
 
-/// Samples, triangles and segments of a scene, and its instances, up to which full detail may be drawn: it is kept in GPU memory beside the trees, and
-/// what lies outside of the image costs time there too.
+/// Stored samples, triangles and segments of a scene, and chunks of all its instances, up to which full detail may be drawn: both are kept in GPU memory
+/// beside the trees, and chunks outside of the image are culled one by one.
 const MOST_ELEMENTS: u64 = 8_000_000;
-const MOST_INSTANCES: u64 = 1024;
+const MOST_CHUNKS: u64 = 1 << 18;
 
 /// Time of the tree over that of full detail from which on the error decreases.
 const NEAR: f64 = 0.7;
@@ -55,6 +56,8 @@ pub struct Costs {
     triangle: f64,
     /// A segment of a line that covers few pixels.
     segment: f64,
+    /// A chunk of an instance that is culled.
+    chunk: f64,
     points: Cost,
     discs: Cost,
     splats: Cost,
@@ -64,6 +67,7 @@ const OF_CPUS: Costs = Costs {
     listing: 1.5e6,
     triangle: 15.0,
     segment: 130.0,
+    chunk: 170.0,
     points: Cost { full: 4.2, node: 20.0, node_of_mesh: 40.0, area: 0.0 },
     discs: Cost { full: 20.0, node: 50.0, node_of_mesh: 70.0, area: 0.0 },
     splats: Cost { full: 50.0, node: 70.0, node_of_mesh: 85.0, area: 8.0 },
@@ -72,6 +76,7 @@ const OF_GPUS: Costs = Costs {
     listing: 1.6e5,
     triangle: 0.05,
     segment: 0.5,
+    chunk: 0.65,
     points: Cost { full: 0.02, node: 0.05, node_of_mesh: 0.3, area: 0.0 },
     discs: Cost { full: 0.05, node: 0.5, node_of_mesh: 0.5, area: 0.0 },
     splats: Cost { full: 0.06, node: 0.05, node_of_mesh: 0.3, area: 0.25 },
@@ -112,9 +117,10 @@ pub struct DetailGrounds<'a> {
     pub triangles: &'a [Patch],
     pub segments: &'a [Patch],
     pub view: &'a View,
-    /// Samples, triangles and segments of the scene.
+    /// Samples, triangles and segments of the scene's assets: those of an asset count once, however many instances it has.
     pub elements: u64,
-    pub instances: u64,
+    /// Chunks of all instances.
+    pub chunks: u64,
     /// How the frame would be drawn at full detail, and from trees. Neither leaves open how samples are drawn.
     pub full: &'a Settings,
     pub tree: &'a Settings,
@@ -171,6 +177,7 @@ struct Shown<'a> {
     samples: Vec<InView>,
     triangles: Vec<InView>,
     segments: Vec<InView>,
+    chunks: f64,
     by_size: bool,
     costs: &'a Costs,
     full: &'a Cost,
@@ -186,6 +193,7 @@ impl<'a> Shown<'a> {
             samples: in_view(grounds.samples),
             triangles: in_view(grounds.triangles),
             segments: in_view(grounds.segments),
+            chunks: grounds.chunks as f64,
             by_size: grounds.tree.draws_points(),
             costs: grounds.costs,
             full: grounds.costs.of_samples(grounds.full),
@@ -211,6 +219,7 @@ impl<'a> Shown<'a> {
             + self.full.area * samples.area
             + self.costs.triangle * triangles.elements
             + self.costs.segment * segments.elements
+            + self.costs.chunk * self.chunks
     }
 
     fn tree_ns(&self, [samples, triangles, segments]: [Seen; 3]) -> f64 {
@@ -240,7 +249,7 @@ impl<'a> Shown<'a> {
 pub fn choose<'a>(grounds: &DetailGrounds<'a>) -> Detail {
     let accepted = grounds.tree.accepted_error();
     let accepted_px = accepted.px();
-    if grounds.instances > MOST_INSTANCES || grounds.elements > MOST_ELEMENTS {
+    if grounds.chunks > MOST_CHUNKS || grounds.elements > MOST_ELEMENTS {
         return Detail::Tree { error: accepted };
     }
     let shown = Shown::of(grounds);

@@ -137,6 +137,8 @@ pub struct PlanReceipt {
     pub chosen: Option<Alternative>,
     /// GPU time of the frame, in milliseconds.
     pub actual_ms: Option<f64>,
+    /// Whether the frame took at most its budget; `null` without a budget and where the time is unknown.
+    pub in_budget: Option<bool>,
     /// Other settings between the fastest and the most exact.
     pub alternatives: Vec<Alternative>,
     /// Number of settings that were compared.
@@ -196,6 +198,7 @@ impl Goal {
             because,
             chosen: None,
             actual_ms: None,
+            in_budget: None,
             alternatives: Vec::new(),
             compared: 0,
             poses: 0,
@@ -219,6 +222,24 @@ impl PlanReceipt {
         });
         let goal = self.goal().in_words();
         Some(format!("the goal of {goal} is not promised: {}{predicted}", self.because))
+    }
+
+    /// The receipt of the frame that was drawn in `actual_ms`.
+    #[must_use]
+    pub fn of_drawn(self, actual_ms: Option<f64>) -> PlanReceipt {
+        let in_budget = self.budget_ms.zip(actual_ms).map(|(budget, actual)| actual <= budget);
+        PlanReceipt { actual_ms, in_budget, ..self }
+    }
+
+    /// Why the goal is not promised, or else that the frame did not keep the budget that was promised; `None` where neither is so.
+    pub fn warning(&self) -> Option<String> {
+        self.unpromised().or_else(|| {
+            let (budget, actual) = self.budget_ms.zip(self.actual_ms)?;
+            let is_broken = self.in_budget == Some(false);
+            is_broken.then(|| {
+                format!("the frame took {actual:.2} ms, longer than the {budget} ms that were promised; other load on the machine may be the cause")
+            })
+        })
     }
 
     /// The receipt of a choice for a scene that was patched after it was measured: nothing is promised.

@@ -109,7 +109,7 @@ fn table(out: &mut String, scope: &Scope, entries: &[&Entry]) {
     *out += "| | setting | GPU, ms | PSNR, dB | SSIM | FLIP | max error | hole pixels | leak pixels | silhouette IoU | depth error, median / max | normal error, median |\n\
         |---|---|---|---|---|---|---|---|---|---|---|---|\n";
     for entry in entries {
-        let metrics = &entry.metrics;
+        let Some(metrics) = &entry.metrics.others else { continue };
         let time = entry.gpu_ms.map_or("–".to_owned(), |time| {
             let [low, median, high] = [time.low, time.median, time.high].map(three_digits);
             format!("{median} ({low}–{high})")

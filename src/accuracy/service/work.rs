@@ -78,12 +78,13 @@ impl Shared {
         let engine = &self.engine;
         let info = engine.scene(scene)?;
         let tag = tag(engine, scene)?;
+        let extent = if wanted.is_quick { Extent::Few } else { Extent::All };
         let mut survey = Survey {
             engine,
             client: Client::Job(LANE),
             scene,
             poses: Vec::new(),
-            rows: sweep::sized_rows(if wanted.is_quick { Extent::Few } else { Extent::All }),
+            rows: sweep::sized_rows(extent, info.has_samples()),
             size: wanted.size,
             repeats: wanted.repeats,
             seed: SEED,

@@ -6,7 +6,7 @@
 use super::{NamedPose, Purpose, Survey, SurveyError};
 use crate::accuracy::difference::{Difference, Shot};
 use crate::accuracy::enlarge::{bilinear, nearest};
-use crate::accuracy::journal::{Metrics, Record};
+use crate::accuracy::journal::{Metrics, OtherMetrics, Record};
 use crate::accuracy::metrics;
 use crate::accuracy::report::heat;
 use crate::accuracy::sweep::Row;
@@ -24,7 +24,8 @@ impl Survey<'_> {
         bilinear(pixels, row.drawn_size(self.size), self.size)
     }
 
-    /// Draws all outputs of a row, compares them with the reference, and writes the frame and its FLIP map.
+    /// Draws all outputs of a row, compares them with the reference, and writes the frame and its FLIP map. For the planner, the colours alone are drawn and
+    /// their squared error is found.
     pub(super) fn compare(
         &self,
         pose: &NamedPose,
@@ -34,6 +35,17 @@ impl Survey<'_> {
         let request = self.row_request(pose.camera, row);
         let frame = self.draw(request.clone())?;
         let color = self.pixels(row, &frame);
+        let image = |metrics| Record::Image {
+            pose: pose.name.clone(),
+            row: row.label.clone(),
+            metrics: Box::new(metrics),
+            drawn: Box::new(frame.receipt.settings.applied),
+            notes: notes(&frame.receipt),
+        };
+        if self.purpose == Purpose::Planner {
+            let mse = metrics::mse(&truth.color, &color)?;
+            return Ok(image(Metrics { mse, others: None }));
+        }
         let settings = request.settings.finer(1, true);
         let seen = self.draw(FrameRequest { settings, ..request.clone() })?;
         let seen = self.enlarged(row, quads(&seen.bytes));
@@ -41,9 +53,6 @@ impl Survey<'_> {
         // Depths and normals of another drawing say nothing about this one.
         let instead = frame.receipt.settings.instead_because;
         let own = |output| {
-            if self.purpose == Purpose::Planner {
-                return Ok(None);
-            }
             let frame = self.draw(FrameRequest { output, ..request.clone() })?;
             let is_own = frame.receipt.settings.instead_because == instead;
             Ok::<_, SurveyError>(is_own.then_some(frame))
@@ -62,20 +71,14 @@ impl Survey<'_> {
         let Difference { mse, ssim, flip, max_error, coverage, map } =
             Difference::between(truth.shot(), shot, self.size)?;
         let (depth, normal_deg) = (depth.flatten(), normal.transpose()?.flatten());
-        let found = Metrics { mse, ssim, flip, max_error, coverage, depth, normal_deg };
+        let others = OtherMetrics { ssim, flip, max_error, coverage, depth, normal_deg };
         if let Some(file) = self.file(pose, &row.slug(), "") {
             self.write_png(&file, color)?;
         }
         if let Some(file) = self.file(pose, &row.slug(), "-flip") {
             self.write_png(&file, map.into_iter().map(heat).collect())?;
         }
-        Ok(Record::Image {
-            pose: pose.name.clone(),
-            row: row.label.clone(),
-            metrics: Box::new(found),
-            drawn: Box::new(frame.receipt.settings.applied),
-            notes: notes(&frame.receipt),
-        })
+        Ok(image(Metrics { mse, others: Some(others) }))
     }
 }
 

@@ -23,14 +23,13 @@ fn decide(samples: &[Patch], triangles: &[Patch], tree: &Settings) -> Detail {
     let full = Settings { lod: Lod::Full, ..*tree };
     let view = view();
     let elements = samples.iter().chain(triangles).map(|patch| patch.count as u64).sum();
-    let instances = 1;
     choose(&DetailGrounds {
         samples,
         triangles,
         segments: &[],
         view: &view,
         elements,
-        instances,
+        chunks: 1,
         full: &full,
         tree,
         costs: Costs::of(false),
@@ -79,13 +78,22 @@ fn large_scenes_are_drawn_from_trees() {
         segments: &[],
         view: &view,
         elements: 1_000_000,
-        instances: 1025,
+        chunks: MOST_CHUNKS + 1,
         full: &full,
         tree: &tree,
         costs: Costs::of(false),
     };
     assert_eq!(choose(&many), Detail::Tree { error: MaxError::default() });
-    assert!(is_full(&choose(&DetailGrounds { instances: 1024, ..many })));
+    assert!(is_full(&choose(&DetailGrounds { chunks: 1, ..many })));
+    // Few of the chunks are in view, and all of them are culled.
+    let patches = &[patch(1e6, 0.1)];
+    let seen = DetailGrounds { samples: patches, chunks: 1000, ..many };
+    let full_ns = |chunks| {
+        let grounds = DetailGrounds { chunks, ..seen };
+        let shown = Shown::of(&grounds);
+        shown.full_ns(shown.at(1.0))
+    };
+    assert!((full_ns(101_000) - full_ns(1000) - 170.0 * 1e5).abs() < 1.0);
 }
 
 #[test]
@@ -120,7 +128,7 @@ fn the_error_of_meshes_decreases_as_far_as_time_allows() {
             segments: &[],
             view: &view,
             elements: 2_000_000,
-            instances: 1,
+            chunks: 1,
             full: &full,
             tree: &tree,
             costs: Costs::of(false),
@@ -149,7 +157,7 @@ fn straight_segments_are_drawn_from_levels_sooner_than_bent_ones() {
             segments,
             view: &view,
             elements: count as u64,
-            instances: 1,
+            chunks: 1,
             full: &full,
             tree: &tree,
             costs: Costs::of(false),
@@ -174,7 +182,7 @@ fn gpus_draw_millions_of_elements_in_full() {
             segments: &[],
             view: &view,
             elements: count as u64,
-            instances: 1,
+            chunks: 1,
             full,
             tree,
             costs: Costs::of(true),

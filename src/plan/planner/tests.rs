@@ -126,7 +126,7 @@ fn a_budget_gets_the_most_exact_setting_and_an_error_the_fastest() {
     let told = none.plan.unpromised().unwrap();
     let reason = "the goal of 0.01 ms is not promised: no setting is known to keep 0.01 ms; this is the fastest one";
     assert!(told.starts_with(reason), "{told}");
-    let chosen = none.plan.chosen.unwrap();
+    let chosen = none.plan.chosen.clone().unwrap();
     assert_eq!(chosen.setting, "points spt 4 px");
     let predicted = format!(
         "; the prediction for `points spt 4 px` is at most {} ms and at least {} dB",
@@ -137,6 +137,21 @@ fn a_budget_gets_the_most_exact_setting_and_an_error_the_fastest() {
         Goal { most_ms: Some(20.0), least_db: Some(30.0) }.unplanned("of a test".into());
     let expected = "the goal of 20 ms and 30 dB is not promised: of a test";
     assert_eq!(unmeasured.unpromised().as_deref(), Some(expected));
+
+    let drawn = |ms| ample.plan.clone().of_drawn(ms);
+    assert_eq!(
+        [Some(1000.0), Some(1000.1), None].map(|ms| drawn(ms).in_budget),
+        [Some(true), Some(false), None]
+    );
+    assert_eq!(drawn(Some(1000.0)).warning(), None);
+    let told = drawn(Some(1234.567)).warning().unwrap();
+    let expected = "the frame took 1234.57 ms, longer than the 1000 ms that were promised";
+    assert!(told.starts_with(expected), "{told}");
+    // A budget that was not promised is not broken.
+    let late = none.plan.clone().of_drawn(Some(5.0));
+    assert_eq!((late.in_budget, late.warning()), (Some(false), late.unpromised()));
+    let without_budget = choose(&planner, &[("min_psnr_db", "20")], ground).unwrap().plan;
+    assert_eq!(without_budget.of_drawn(Some(1.0)).in_budget, None);
 
     let own_db = 10.0 * (65025.0 / point(1, &rows()[1].1, ground).mse).log10();
     let least = format!("{}", (own_db - 1.5).floor());
