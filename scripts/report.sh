@@ -33,9 +33,9 @@ export REPORT_FOLDER=target/report
 if is_set "${REPORT_QUICK:-}"; then
     REPORT_FOLDER=target/report-quick
     export BENCH_QUICK=1
-    planner_scenes=scenes/relief.json planner_poses=1 audit_poses=1 stability_views=1 promises_extent=--quick
+    planner_scenes=scenes/relief.json planner_poses=1 planner_budgets=2 audit_poses=1 stability_views=1 promises_extent=--quick
 else
-    planner_scenes=scenes/town.json,scenes/relief.json planner_poses=20 audit_poses=10 stability_views=32 promises_extent=
+    planner_scenes=scenes/town.json,scenes/relief.json planner_poses=20 planner_budgets=40 audit_poses=10 stability_views=32 promises_extent=
 fi
 folder=$REPORT_FOLDER
 
@@ -107,7 +107,7 @@ measure() { # PART
     lod) BENCH_LOD="bake cpu distance" bench lod ;;
     pull_push) bench pull_push ;;
     trees) bench trees ;;
-    planner) PLANNER_SCENES=$planner_scenes PLANNER_POSES=$planner_poses bench planner ;;
+    planner) PLANNER_SCENES=$planner_scenes PLANNER_POSES=$planner_poses PLANNER_BUDGETS=$planner_budgets bench planner ;;
     audit) AUDIT_POSES=$audit_poses bench audit ;;
     effects)
         rm -f "$folder"/effects-*.png target/bench/effects/effects-*.png

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::results::{decibels_down, three_digits};
-use super::sweep::{Price, Quartiles, pareto, price, roughness};
+use super::sweep::{Price, Quartiles, pareto, price, roughness, told_apart};
 
 /// Decibels between two levels, and the same where there would be more than [`MOST_LEVELS`] of them.
 const LEVEL_DB: f64 = 5.0;
@@ -178,11 +178,14 @@ fn percent(price: &Price) -> Option<f64> {
     Some(100.0 * (price.times_per_db? - 1.0))
 }
 
-/// The points that no other point beats in time and decibels, from the fastest. Points whose decibels are NaN, or whose time is not finite, are left out.
+/// The points that no other point beats in time and decibels and whose times the noise [tells apart](told_apart), from the fastest. Points whose decibels are
+/// NaN, or whose time is not finite, are left out.
 fn front(points: &[Point]) -> Vec<Point> {
     let pairs: Vec<(f64, f64)> =
         points.iter().map(|point| (point.gpu_ms.median, -point.decibels())).collect();
-    pareto(&pairs).into_iter().map(|index| points[index].clone()).collect()
+    let front: Vec<&Point> = pareto(&pairs).into_iter().map(|index| &points[index]).collect();
+    let times: Vec<Quartiles> = front.iter().map(|point| point.gpu_ms).collect();
+    told_apart(&times).into_iter().map(|index| front[index].clone()).collect()
 }
 
 /// The fastest point of the front that has at least so many decibels.

@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::journal::{Identity, Metrics, OtherMetrics, Record};
 use super::metrics::{Coverage, Spread, psnr_db};
-use super::sweep::{Price, Quartiles, Row, owners, pareto, price, roughness};
+use super::sweep::{Price, Quartiles, Row, owners, pareto, price, roughness, told_apart};
 use crate::plan::Given;
 
 pub use along::{Along, AlongEntry};
@@ -48,13 +48,12 @@ pub struct Scope {
     /// Rows that the program refuses, each with the reason.
     #[schema(value_type = Vec<Vec<String>>)]
     pub refused: Vec<(String, String)>,
-    /// Labels of the rows on the Pareto front of time and error, from the fastest to the most exact, by the measure of the error. A row whose quartiles of
-    /// time reach those of the next more exact one is left out.
+    /// Labels of the rows on the Pareto front of time and error, from the fastest to the most exact, by the measure of the error.
     #[schema(value_type = BTreeMap<String, Vec<String>>)]
     pub fronts: BTreeMap<&'static str, Vec<String>>,
-    /// Prices from each point of the front of `psnr` to the next.
+    /// Prices from each point of the front of `psnr` to the next. A point whose quartiles of time reach those of the next more exact one is left out.
     pub steps: Vec<Price>,
-    /// The price from the first point of that front to the last.
+    /// The price from the first of these points to the last.
     pub price: Option<Price>,
 }
 
@@ -137,11 +136,9 @@ impl Scope {
             let mut front: Vec<&Entry> = pareto(&points).into_iter().map(|i| own[i]).collect();
             if measure == "psnr" {
                 front = worthwhile(front);
-            }
-            front = told_apart(front);
-            if measure == "psnr" {
-                let points: Vec<(f64, f64)> =
-                    front.iter().map(|entry| (time(entry), entry.decibels())).collect();
+                let times: Vec<Quartiles> = front.iter().filter_map(|entry| entry.gpu_ms).collect();
+                let place = |index: usize| (times[index].median, front[index].decibels());
+                let points: Vec<(f64, f64)> = told_apart(&times).into_iter().map(place).collect();
                 steps = points.windows(2).filter_map(|pair| price(pair[0], pair[1])).collect();
                 let last = points.iter().rev().find(|point| point.1.is_finite());
                 whole = points.first().zip(last).and_then(|(first, last)| price(*first, *last));
@@ -333,22 +330,6 @@ fn worthwhile(front: Vec<&Entry>) -> Vec<&Entry> {
             kept.push(entry);
         }
     }
-    kept
-}
-
-/// The points of a front whose times the noise tells apart: a point whose quartiles reach those of the next more exact one is left out.
-fn told_apart(front: Vec<&Entry>) -> Vec<&Entry> {
-    let mut kept: Vec<&Entry> = Vec::new();
-    // From the most exact one, so that a row of points that each reach the next is not left out as a whole.
-    for entry in front.into_iter().rev() {
-        let is_faster = |next: &&Entry| {
-            entry.gpu_ms.zip(next.gpu_ms).is_some_and(|(own, next)| own.high < next.low)
-        };
-        if kept.last().is_none_or(is_faster) {
-            kept.push(entry);
-        }
-    }
-    kept.reverse();
     kept
 }
 

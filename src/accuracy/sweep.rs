@@ -59,36 +59,62 @@ pub fn slug(text: &str) -> String {
     words.join("-")
 }
 
-/// All combinations of settings, from their declarations, at full size. Of those that draw no samples, the first ones of a scene without samples have names
-/// without the way to draw samples: the others are drawn alike.
+/// All combinations of settings, from their declarations, at full size. In a scene without samples, rows of full detail that differ only in how samples are
+/// drawn give the same frame. The first of them is named without a way to draw samples.
 pub fn rows(extent: Extent, has_samples: bool) -> Vec<Row> {
-    let mut named: BTreeSet<String> = BTreeSet::new();
-    let row = |found: crate::plan::TradeOff| {
-        let crate::plan::TradeOff { mut label, family, given } = found;
-        // Point trees of meshes have samples.
-        if !has_samples && !Settings::from(given).draws_trees() {
-            let rest = label.strip_prefix(&family).unwrap_or(&label).trim_start().to_owned();
-            if named.insert(rest.clone()) {
-                label = rest;
-            }
-        }
-        Row { label, family, given, scale: 1.0 }
-    };
-    trade_offs(extent).into_iter().map(row).collect()
+    named(combinations(extent), has_samples)
 }
 
 /// All rows of a survey: the combinations of settings, and the main ones with default numbers at each of [`SCALES`].
 pub fn sized_rows(extent: Extent, has_samples: bool) -> Vec<Row> {
-    let mut found = rows(extent, has_samples);
-    found.extend(smaller(&rows(Extent::Few, has_samples), &SCALES));
-    found
+    named(sized(extent), has_samples)
 }
 
 /// All rows of a planner: the combinations of settings, and those without antialiasing in smaller sizes.
 pub fn planned_rows(has_samples: bool) -> Vec<Row> {
-    let mut found = rows(Extent::Planned, has_samples);
+    let mut found = combinations(Extent::Planned);
     found.extend(smaller(&found, &PLANNED_SCALES));
+    named(found, has_samples)
+}
+
+/// Rows of a survey that are compared along a camera path: the main settings, and the variants and sizes that matter most.
+pub fn main_rows(extent: Extent, has_samples: bool) -> Vec<Row> {
+    let mut found = sized(Extent::Few);
+    if extent == Extent::All {
+        let more = combinations(Extent::Planned).into_iter().filter(|row| !found.contains(row));
+        found.extend(more.collect::<Vec<_>>());
+    }
+    named(found, has_samples)
+}
+
+fn combinations(extent: Extent) -> Vec<Row> {
+    let row = |found: crate::plan::TradeOff| Row {
+        label: found.label,
+        family: found.family,
+        given: found.given,
+        scale: 1.0,
+    };
+    trade_offs(extent).into_iter().map(row).collect()
+}
+
+fn sized(extent: Extent) -> Vec<Row> {
+    let mut found = combinations(extent);
+    found.extend(smaller(&combinations(Extent::Few), &SCALES));
     found
+}
+
+/// The rows with the names that they have in a scene with or without samples.
+fn named(mut rows: Vec<Row>, has_samples: bool) -> Vec<Row> {
+    let mut known: BTreeSet<String> = BTreeSet::new();
+    // Point trees of meshes have samples.
+    let without = rows.iter_mut().filter(|row| !Settings::from(row.given).draws_trees());
+    for row in without.filter(|_| !has_samples) {
+        let rest = row.label.strip_prefix(&row.family).unwrap_or(&row.label).trim_start();
+        if known.insert(rest.to_owned()) {
+            row.label = rest.to_owned();
+        }
+    }
+    rows
 }
 
 /// The rows at each of these scales, without those that are `auto` or antialiased.
@@ -103,17 +129,6 @@ fn smaller(rows: &[Row], scales: &[(f64, &str)]) -> Vec<Row> {
     };
     let each = |row| scales.iter().map(move |&scale| at(row, scale));
     rows.iter().filter(is_plain).flat_map(each).collect()
-}
-
-/// Rows of a survey that are compared along a camera path: the main settings, and the variants and sizes that matter most.
-pub fn main_rows(extent: Extent, has_samples: bool) -> Vec<Row> {
-    let mut found = sized_rows(Extent::Few, has_samples);
-    if extent == Extent::All {
-        let more =
-            rows(Extent::Planned, has_samples).into_iter().filter(|row| !found.contains(row));
-        found.extend(more.collect::<Vec<_>>());
-    }
-    found
 }
 
 /// For each row, given with the settings that it is drawn with, the row that stands for all rows that are drawn alike in the same size: the first one
@@ -210,6 +225,20 @@ pub fn pareto(points: &[(f64, f64)]) -> Vec<usize> {
         }
     }
     front
+}
+
+/// Indices of the points of a front whose times the noise tells apart, given the times from the fastest to the most exact. A point whose quartiles reach those
+/// of the next more exact one is left out: another run might swap the two.
+pub fn told_apart(times: &[Quartiles]) -> Vec<usize> {
+    let mut kept: Vec<usize> = Vec::new();
+    // From the most exact one, so that a row of points that each reach the next is not left out as a whole.
+    for index in (0..times.len()).rev() {
+        if kept.last().is_none_or(|&next| times[index].high < times[next].low) {
+            kept.push(index);
+        }
+    }
+    kept.reverse();
+    kept
 }
 
 /// Price of accuracy between two points of a front.
@@ -314,6 +343,14 @@ mod tests {
         assert_eq!(pareto(&points), [1, 2, 0, 5]);
         assert_eq!(pareto(&[(1.0, f64::NAN), (f64::INFINITY, 0.0), (2.0, f64::INFINITY)]), [2]);
         assert!(pareto(&[]).is_empty());
+    }
+
+    /// Quartiles reach from 0.9 to 1.2 times the median: those of the second reach those of the third, those of the first reach the second's alone.
+    #[test]
+    fn points_within_the_noise_of_the_next_are_left_out() {
+        let time = |ms: f64| Quartiles { count: 3, low: 0.9 * ms, median: ms, high: 1.2 * ms };
+        assert_eq!(told_apart(&[10.0, 12.5, 14.0, 30.0].map(time)), [0, 2, 3]);
+        assert!(told_apart(&[]).is_empty());
     }
 
     #[test]

@@ -5,7 +5,7 @@
 //! and a node that is tested costs more than a sample that is drawn unasked. The [`Costs`] of CPUs were measured on two cores, those of discrete GPUs on an
 //! NVIDIA H200, where a frame of full detail takes hardly longer than its passes take to start: 1 to 8 million samples or 0.4 to 2.9 million triangles,
 //! 0.4 to 1.4 ms (statues and reliefs at 256² and 1024²). The cost of a chunk was measured on CPUs (the plaza of 17,600 instances: 4.0 to 4.5 ms to place and
-//! cull about 24,000 chunks); that of GPUs is smaller by as much as the cost of a segment is.
+//! cull about 24,000 chunks). That of GPUs was not measured: the ratio of the costs of a segment gives it.
 //!
 //! A frame of the tree differs from one of full detail, within the accepted error, in every part of the image at once. Therefore the error
 //! decreases before full detail takes over: to a quarter of the accepted one, over the last quarter of an octave of distance, where
@@ -16,8 +16,8 @@ use super::{MaxError, Settings, auto};
 use crate::bake::spacing::Patch;
 use crate::math::View;
 
-/// Stored samples, triangles and segments of a scene, and chunks of all its instances, up to which full detail may be drawn: both are kept in GPU memory
-/// beside the trees, and chunks outside of the image are culled one by one.
+/// Stored samples, triangles and segments of a scene, and chunks of all its instances, up to which full detail may be drawn. GPU memory holds both beside the
+/// trees. Every frame culls all chunks, those outside of the image included.
 const MOST_ELEMENTS: u64 = 8_000_000;
 const MOST_CHUNKS: u64 = 1 << 18;
 

@@ -231,13 +231,13 @@ impl PlanReceipt {
         PlanReceipt { actual_ms, in_budget, ..self }
     }
 
-    /// Why the goal is not promised, or else that the frame did not keep the budget that was promised; `None` where neither is so.
+    /// Warns that the goal is not promised, or that the frame exceeded a promised budget. `None` if the goal was promised and kept.
     pub fn warning(&self) -> Option<String> {
         self.unpromised().or_else(|| {
             let (budget, actual) = self.budget_ms.zip(self.actual_ms)?;
             let is_broken = self.in_budget == Some(false);
             is_broken.then(|| {
-                format!("the frame took {actual:.2} ms, longer than the {budget} ms that were promised; other load on the machine may be the cause")
+                format!("the frame took {actual:.2} ms, longer than the {budget} ms that were promised; ask again if other work has slowed the machine, or for a larger budget_ms")
             })
         })
     }

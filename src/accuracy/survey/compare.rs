@@ -24,8 +24,8 @@ impl Survey<'_> {
         bilinear(pixels, row.drawn_size(self.size), self.size)
     }
 
-    /// Draws all outputs of a row, compares them with the reference, and writes the frame and its FLIP map. For the planner, the colours alone are drawn and
-    /// their squared error is found.
+    /// Draws all outputs of a row, compares them with the reference, and writes the frame and its FLIP map. For the planner, it draws the
+    /// colours only and computes their squared error.
     pub(super) fn compare(
         &self,
         pose: &NamedPose,
