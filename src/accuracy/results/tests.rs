@@ -213,7 +213,7 @@ fn numbers_have_three_digits() {
     assert_eq!(three_digits(f64::NAN), "–");
 }
 
-/// The same results with times of "fast way" that reach those of "good way" have the same front and another price: that of the combined report.
+/// Noise that makes the times of "fast way" reach those of "good way" leaves the front as it is and changes the price. The combined report has that price, too.
 #[test]
 fn prices_leave_out_settings_within_the_noise() {
     let clear = results();
